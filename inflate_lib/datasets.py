@@ -1,0 +1,225 @@
+"""Data sets of inflated structures: many images → label, inflate, describe → one self-describing netCDF file (paper sec. 3).
+
+Nothing is dropped: an image that gives no structure, or a structure without an equilibrium, keeps its row with
+``converged = False`` and the reason.
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from joblib import Parallel, delayed
+
+import inflate_lib
+from inflate_lib import descriptors, inflation, mesh, progress, skyline, sources, structures
+from inflate_lib.cache import cached, code_version, digest
+from inflate_lib.descriptors import AXIS_POINTS
+
+SIZE = 28  # pixels
+CHUNK = 64  # structures per unit of work, which is what a killed run can lose
+
+_UNITS = {
+    "height": ("deformed height h", "1"),
+    "width": ("deformed width w", "1"),
+    "hull_area": ("area A of the deformed convex hull", "1"),
+    "medial_axis": ("medial axis of the deformed shape, bottom to top, first point at the origin", "1"),
+    "image": ("grey image of the undeformed structure", "1"),
+    "label": ("label image: 0 outside, 0.5 wall, 1 void", "1"),
+    "converged": ("every load step reached equilibrium", "1"),
+    "reason": ("why not converged; empty where converged", ""),
+    "factorisations": ("factorisations of the tangent", "1"),
+}
+
+
+def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=None):
+    """Label, inflate and describe many images.
+
+    Parameters
+    ----------
+    images : (n, 28, 28) array_like, or a sequence of images
+        uint8, or float in [0, 1]. What is no usable image is not an error: its row holds the reason.
+    n_jobs : int
+        Processes; -1 for one per core, 1 for none besides this one.
+    n_steps : int
+        Load steps of each inflation.
+    progress_text : bool
+        Print a line every few seconds.
+    folder : path_like, optional
+        Where finished parts are kept: a run that was killed goes on from them.
+
+    Returns
+    -------
+    xarray.Dataset
+        One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged), height, width,
+        hull_area, medial_axis (structure, point, axis), factorisations. Descriptors are in lengths and areas of the unit
+        square, NaN where not converged.
+
+    Raises
+    ------
+    ValueError
+        Where `images` is no sequence of images at all, `n_jobs` is zero, or `n_steps` is below one.
+    """
+    images = _as_sequence(images)
+    if n_jobs == 0:
+        raise ValueError("n_jobs: 0 processes can do nothing; give 1, 2, … or -1 for one per core")
+    if n_steps < 1:
+        raise ValueError(f"n_steps must be at least 1, not {n_steps!r}")
+    starts = range(0, len(images), CHUNK)
+    parts = (images[start : start + CHUNK] for start in starts)
+    if folder is None:
+        jobs = (delayed(_simulate)(part, n_steps) for part in parts)
+    else:
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        jobs = (delayed(_simulate_once)(part, n_steps, folder, start) for part, start in zip(parts, starts, strict=True))
+    workers = 1 if len(images) <= CHUNK else n_jobs
+    done = Parallel(n_jobs=workers, return_as="generator")(jobs)
+    if progress_text:
+        done = progress.track(((len(part["height"]), part) for part in done), len(images), "inflating structures")
+    return _assemble(list(done), n_steps)
+
+
+def simulated_sevens(source="auto", n_structures=None, n_jobs=-1):
+    """The simulated sevens, computed once and kept on disk.
+
+    Parameters
+    ----------
+    source : {"auto", "mnist", "digits"}
+        See :func:`inflate_lib.sources.load_sevens`.
+    n_structures : int, optional
+        Only the first ones.
+    n_jobs : int
+        Processes; -1 for one per core.
+
+    Returns
+    -------
+    xarray.Dataset
+        See :func:`simulate_dataset`.
+    """
+    return load_dataset(simulated_sevens_file(source, n_structures, n_jobs))
+
+
+def simulated_sevens_file(source="auto", n_structures=None, n_jobs=-1):
+    """Path of the netCDF file that :func:`simulated_sevens` reads."""
+    sevens = sources.load_sevens(source, limit=n_structures)
+    code = code_version(structures, mesh, skyline, inflation, descriptors, __name__)
+
+    def make(target, scratch):
+        data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch)
+        data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": code}
+        save_dataset(data, target)
+
+    return cached("dataset", {"images": digest(sevens.images), "steps": 10, "code": code}, make, ".nc")
+
+
+def save_dataset(data, path):
+    """Write a data set as one netCDF file, compressed."""
+    encoding = {name: {"zlib": True, "complevel": 4} for name in data.data_vars if data[name].dtype.kind in "fiu"}
+    data.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+
+
+def load_dataset(path):
+    """Read a data set that :func:`save_dataset` wrote.
+
+    Raises
+    ------
+    ValueError
+        Where the file is missing, or is no data set of inflated structures.
+    """
+    try:
+        data = xr.load_dataset(path, engine="h5netcdf")
+    except (OSError, KeyError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read as a netCDF data set: {error}") from None
+    if missing := {"image", "converged", "reason", "height", "width", "hull_area", "medial_axis"} - set(data.variables):
+        raise ValueError(f"{path} is no data set of inflated structures; it lacks {', '.join(sorted(missing))}")
+    return data
+
+
+def _as_sequence(images):
+    """`images` as something that can be cut into parts; the single images are not judged here."""
+    if isinstance(images, np.ndarray) and images.ndim == 2:
+        raise ValueError("images: a stack (n, 28, 28) is needed; put a single image in a list")
+    if isinstance(images, str | bytes) or not hasattr(images, "__len__") or not hasattr(images, "__getitem__"):
+        raise ValueError(f"images: a sequence of images is needed, not {type(images).__name__}")
+    if len(images) == 0:
+        raise ValueError("images: the sequence is empty")
+    return images
+
+
+def _simulate(images, n_steps):
+    """The rows of a few images, as a dict of arrays."""
+    n = len(images)
+    rows = {
+        "image": np.zeros((n, SIZE, SIZE), dtype=np.uint8),
+        "label": np.zeros((n, SIZE, SIZE), dtype=np.float32),
+        "converged": np.zeros(n, dtype=bool),
+        "reason": [""] * n,
+        "height": np.full(n, np.nan),
+        "width": np.full(n, np.nan),
+        "hull_area": np.full(n, np.nan),
+        "medial_axis": np.full((n, AXIS_POINTS, 2), np.nan),
+        "factorisations": np.zeros(n, dtype=np.int32),
+    }
+    if getattr(images, "dtype", None) != np.uint8:
+        rows["image"] = np.zeros((n, SIZE, SIZE), dtype=np.float32)
+    for i, image in enumerate(images):
+        try:
+            rows["label"][i] = label = structures.label_image(image)
+            rows["image"][i] = image
+            result = inflation.inflate(label, n_steps=n_steps)
+        except ValueError as error:
+            rows["reason"][i] = str(error)
+            continue
+        rows["converged"][i], rows["reason"][i] = result.converged, result.reason
+        rows["factorisations"][i] = result.factorisations
+        if result.converged:
+            shape = descriptors.describe(result)
+            rows["height"][i], rows["width"][i], rows["hull_area"][i] = shape.height, shape.width, shape.hull_area
+            rows["medial_axis"][i] = shape.medial_axis
+    rows["reason"] = np.array(rows["reason"])
+    return rows
+
+
+def _simulate_once(images, n_steps, folder, start):
+    """As `_simulate`, but read from `folder` where an earlier run finished it for the same images."""
+    try:
+        key = digest(np.asarray(images))[:12]
+    except ValueError:  # ragged or not numeric: nothing to recognise it by
+        return _simulate(images, n_steps)
+    path = folder / f"{start:06d}-{n_steps}-{key}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return dict(stored)
+    except (OSError, ValueError, EOFError):  # not there, or cut off
+        rows = _simulate(images, n_steps)
+    draft = path.with_name(f".{os.getpid()}-{path.name}")
+    np.savez(draft, **rows)
+    os.replace(draft, path)
+    return rows
+
+
+def _assemble(parts, n_steps):
+    dims = {"image": ("structure", "row", "column"), "label": ("structure", "row", "column")}
+    dims["medial_axis"] = ("structure", "point", "axis")
+    variables = {
+        name: (dims.get(name, ("structure",)), np.concatenate([part[name] for part in parts])) for name in parts[0]
+    }
+    data = xr.Dataset(variables, coords={"axis": ["x", "y"]})
+    data["reason"] = data["reason"].astype(object)
+    for name, (text, units) in _UNITS.items():
+        data[name].attrs |= {"long_name": text} | ({"units": units} if units else {})
+    data.attrs = {
+        "title": "Inflated structures and their descriptors",
+        "length_unit": "side of the unit square that the image fills",
+        "element": "bilinear quadrilateral with mean dilatation, one per wall pixel, plane strain",
+        "lambda": inflation.LAMBDA,
+        "mu": inflation.MU,
+        "pressure": inflation.PRESSURE,
+        "load_steps": n_steps,
+        "inflate_lib": inflate_lib.__version__,
+        "numpy": np.__version__,
+        "xarray": xr.__version__,
+        "references": "arXiv:2508.13097, section 3",
+    }
+    return data

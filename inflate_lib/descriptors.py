@@ -1,0 +1,163 @@
+"""Descriptors of a deformed structure (paper sec. 3.2, Fig. 3): height, width, bounding box, hull area, medial axis."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+AXIS_POINTS = 30
+
+#: The five descriptors that models are conditioned on, and the length N of each as a vector.
+DESCRIPTORS = {"height": 1, "width": 1, "box": 2, "area": 1, "axis": 2 * AXIS_POINTS}
+
+
+@dataclass(frozen=True)
+class Descriptors:
+    """Descriptors of one deformed shape, in lengths (areas) of the unit square.
+
+    Attributes
+    ----------
+    height, width : float
+        Extent of the deformed nodes in y and in x.
+    hull_area : float
+        Area of their convex hull.
+    medial_axis : (30, 2) float
+        Midpoints of the hull's horizontal chords at the heights k h / 30, k = 0, …, 29, from the bottom upwards, moved so that
+        the first is the origin.
+    """
+
+    height: float
+    width: float
+    hull_area: float
+    medial_axis: np.ndarray
+
+    @property
+    def bounding_box(self):
+        """(height, width)."""
+        return self.height, self.width
+
+    def vector(self, name):
+        """(N,) the descriptor `name` ("height", "width", "box", "area" or "axis") as a model is conditioned on it."""
+        values = {
+            "height": [self.height],
+            "width": [self.width],
+            "box": [self.height, self.width],
+            "area": [self.hull_area],
+            "axis": self.medial_axis.ravel(),
+        }
+        return np.array(values[check_name(name)], dtype=float)
+
+
+def check_name(name):
+    """Return `name`, or raise a ValueError that lists the descriptors."""
+    if name not in DESCRIPTORS:
+        raise ValueError(f"unknown descriptor {name!r}; choose one of {', '.join(DESCRIPTORS)}")
+    return name
+
+
+def describe(result, step=-1):
+    """Descriptors of an inflated structure.
+
+    Parameters
+    ----------
+    result : Inflation or (n, 2) array_like
+        What :func:`inflate_lib.inflate` returned, or deformed nodes.
+    step : int
+        Load step, the last one by default.
+
+    Returns
+    -------
+    Descriptors
+
+    Raises
+    ------
+    ValueError
+        Where that load step did not converge, or the nodes span no area.
+    """
+    if hasattr(result, "deformed"):
+        nodes = result.deformed(step)
+        if not np.isfinite(nodes).all():
+            raise ValueError(f"the structure has no equilibrium to describe: {result.reason}")
+    else:
+        nodes = np.asarray(result, dtype=float)
+        if nodes.ndim != 2 or nodes.shape[1] != 2 or not np.isfinite(nodes).all():
+            raise ValueError(f"nodes: finite coordinates of shape (n, 2) are needed, not {nodes.shape}")
+    try:
+        hull = ConvexHull(nodes)
+    except QhullError:
+        raise ValueError("the deformed nodes span no area, so they have no convex hull") from None
+    width, height = np.ptp(nodes, axis=0)
+    return Descriptors(float(height), float(width), float(hull.volume), medial_axis(nodes[hull.vertices]))
+
+
+def medial_axis(hull, points=AXIS_POINTS):
+    """Midpoints of the horizontal chords of a convex polygon at equal height increments (paper sec. 3.2, item v).
+
+    Parameters
+    ----------
+    hull : (k, 2) float
+        Corners of a convex polygon, counter-clockwise.
+    points : int
+        Number of chords; the increment is the polygon's height divided by it.
+
+    Returns
+    -------
+    axis : (points, 2) float
+        From the bottom upwards; the first point is the origin.
+    """
+    left, right = hull_sides(hull)
+    bottom, top = hull[:, 1].min(), hull[:, 1].max()
+    height = bottom + (top - bottom) * np.arange(points) / points
+    middle = 0.5 * (np.interp(height, left[:, 1], left[:, 0]) + np.interp(height, right[:, 1], right[:, 0]))
+    return np.column_stack([middle - middle[0], height - bottom])
+
+
+def hull_sides(hull):
+    """The left and the right side of a convex polygon, each from its lowest to its highest corner.
+
+    Parameters
+    ----------
+    hull : (k, 2) float
+        Corners of a convex polygon, counter-clockwise.
+
+    Returns
+    -------
+    left, right : (·, 2) float
+        Corners with increasing y.
+    """
+    x, y = hull.T
+    lowest = np.lexsort((-x, y))[0]  # the right end of a flat bottom
+    highest = np.lexsort((-x, -y))[0]  # the right end of a flat top
+    ring = np.roll(hull, -lowest, axis=0)
+    split = (highest - lowest) % len(hull)
+    right, left = ring[: split + 1], np.concatenate([ring[split:], ring[:1]])[::-1]
+    # A flat bottom (top) belongs to neither side: drop the far end, which has the same y.
+    if len(left) > 2 and left[1, 1] <= left[0, 1]:
+        left = left[1:]
+    if len(left) > 2 and left[-2, 1] >= left[-1, 1]:
+        left = left[:-1]
+    return left, right
+
+
+def descriptor_matrix(data, name):
+    """One descriptor of every structure in a data set, as models are conditioned on it.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        From :func:`inflate_lib.simulate_dataset`.
+    name : {"height", "width", "box", "area", "axis"}
+
+    Returns
+    -------
+    (n, N) float
+        Box as (height, width); the medial axis point by point (x₀, y₀, x₁, y₁, …). NaN where a structure did not converge.
+    """
+    columns = {
+        "height": ["height"],
+        "width": ["width"],
+        "box": ["height", "width"],
+        "area": ["hull_area"],
+        "axis": ["medial_axis"],
+    }[check_name(name)]
+    return np.column_stack([data[column].values.reshape(data.sizes["structure"], -1) for column in columns])

@@ -1,0 +1,129 @@
+"""From a label image to a finite-element mesh of the wall (paper sec. 3.1).
+
+Every wall pixel (label 0.5) becomes one quadrilateral, or ``refine × refine`` of them. The frame is the unit
+square; the bottom edge of the frame is y = 0, where the structure is clamped. Edges between wall and void carry
+the pressure.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+OUTSIDE, WALL, VOID = 0.0, 0.5, 1.0
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Quadrilateral mesh of a wall.
+
+    Attributes
+    ----------
+    nodes : (n, 2) float
+        Undeformed coordinates in lengths of the unit square.
+    cells : (m, 4) int
+        Node numbers of each quadrilateral, counter-clockwise.
+    pressure_edges : (k, 2) int
+        Node numbers of each edge between wall and void, with the cavity on the left-hand side, so that the edges
+        run counter-clockwise around the cavity.
+    clamped : (n,) bool
+        Nodes that cannot move: those on y = 0.
+    """
+
+    nodes: np.ndarray
+    cells: np.ndarray
+    pressure_edges: np.ndarray
+    clamped: np.ndarray
+
+
+def build_mesh(label, refine=1):
+    """Mesh the wall of a label image.
+
+    Parameters
+    ----------
+    label : (s, s) array_like
+        Labels 0 (outside), 0.5 (wall), 1 (void), as :func:`inflate_lib.label_image` makes them.
+    refine : int
+        Sub-elements per pixel and direction.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    ValueError
+        Where the labels are no label image, nothing is clamped, the wall falls into several pieces, or the cavity is
+        missing or open.
+    """
+    label = check_label(label)
+    if not isinstance(refine, int | np.integer) or refine < 1:
+        raise ValueError(f"refine must be a whole number of at least 1, not {refine!r}")
+    label = np.kron(label, np.ones((refine, refine))) if refine > 1 else label
+    size = len(label)
+
+    # Lattice point (r, c) is the upper left corner of pixel (r, c); row 0 is the top of the picture.
+    row, column = np.nonzero(label == WALL)
+    corner = row * (size + 1) + column
+    lattice_cells = corner[:, None] + np.array([size + 1, size + 2, 1, 0])  # counter-clockwise from lower left
+    lattice_edges = _cavity_edges(label)
+
+    used = np.zeros((size + 1) ** 2, dtype=bool)
+    used[lattice_cells] = True
+    number = np.cumsum(used) - 1
+    lattice_row, lattice_column = np.divmod(np.flatnonzero(used), size + 1)
+    nodes = np.column_stack([lattice_column, size - lattice_row]) / size
+    return Mesh(nodes, number[lattice_cells], number[lattice_edges], lattice_row == size)
+
+
+def check_label(label):
+    """Return `label` as a float array, or raise a ValueError that says why it cannot be inflated."""
+    try:
+        label = np.asarray(label, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"label: not an array of numbers ({error})") from None
+    if label.ndim != 2 or label.shape[0] != label.shape[1] or label.size == 0:
+        raise ValueError(f"label: a square image is needed, not an array of shape {label.shape}")
+    wall, void = label == WALL, label == VOID
+    if not np.all(wall | void | (label == OUTSIDE)):
+        raise ValueError("label: values must be 0 (outside), 0.5 (wall) or 1 (void); make them with label_image(image)")
+    if not wall.any():
+        raise ValueError("label: there is no wall (0.5)")
+    if not void.any():
+        raise ValueError("label: there is no void (1) to put under pressure")
+    if not wall[-1].any():
+        raise ValueError("label: nothing is clamped, because no wall reaches the bottom row of the image")
+    pieces = ndimage.label(wall, structure=np.ones((3, 3)))[1]
+    if pieces > 1:
+        raise ValueError(f"label: the wall falls into {pieces} pieces that do not touch")
+    outside = np.pad(label == OUTSIDE, ((1, 0), (1, 1)), constant_values=True)  # below the frame is the clamped ground
+    inside = np.pad(void, ((1, 0), (1, 1)))
+    if np.any(outside[1:] & inside[:-1]) or np.any(outside[:-1] & inside[1:]) or np.any(
+        outside[:, 1:] & inside[:, :-1] | outside[:, :-1] & inside[:, 1:]
+    ):
+        raise ValueError("label: the cavity is open, because a void pixel (1) touches the outside (0) or the frame")
+    return label
+
+
+def _cavity_edges(label):
+    """Edges between void and wall as pairs of lattice points, counter-clockwise around the void."""
+    size = len(label)
+    wall, void = label == WALL, label == VOID
+    lattice = np.arange((size + 1) ** 2).reshape(size + 1, size + 1)
+
+    def edges(here, start, end):
+        return np.column_stack([start[here], end[here]])
+
+    upper_left, upper_right = lattice[:-1, :-1], lattice[:-1, 1:]
+    lower_left, lower_right = lattice[1:, :-1], lattice[1:, 1:]
+    below, above = np.zeros_like(wall), np.zeros_like(wall)
+    left, right = np.zeros_like(wall), np.zeros_like(wall)
+    below[:-1], above[1:], left[:, 1:], right[:, :-1] = wall[1:], wall[:-1], wall[:, :-1], wall[:, 1:]
+    return np.concatenate(
+        [
+            edges(void & below, lower_left, lower_right),
+            edges(void & right, lower_right, upper_right),
+            edges(void & above, upper_right, upper_left),
+            edges(void & left, upper_left, lower_left),
+        ]
+    )

@@ -1,0 +1,79 @@
+"""One style for every figure: the Okabe–Ito palette, thin axes, sizes in centimetres of the printed page."""
+
+from types import SimpleNamespace
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+
+#: Okabe–Ito colours (distinguishable with every common colour-vision deficiency), named by their role.
+COLOURS = SimpleNamespace(
+    wall="#0072B2",  # solid material
+    void="#DCE9F2",  # pressurised cavity
+    ghost="#9A9A9A",  # undeformed shape behind a deformed one
+    target="#D55E00",  # what was asked for
+    achieved="#0072B2",  # what came out
+    low="#E69F00",
+    medium="#009E73",
+    high="#CC79A7",
+    accent="#56B4E9",
+    ink="#222222",
+)
+
+#: Colours of the three targets of a descriptor, with line styles and hatches that survive black-and-white printing.
+LEVELS = (COLOURS.low, COLOURS.medium, COLOURS.high)
+LINE_STYLES = ("-", "--", ":")
+HATCHES = ("", "//", "xx")
+
+TEXT_WIDTH = 17.0  # cm
+
+
+def use_style():
+    """Apply the book's style to matplotlib's global settings."""
+    mpl.rcParams.update(
+        {
+            "figure.dpi": 110,
+            "savefig.dpi": 200,
+            "savefig.bbox": "tight",
+            "savefig.facecolor": "white",
+            "figure.constrained_layout.use": True,
+            "font.size": 9,
+            "axes.titlesize": 9,
+            "axes.labelsize": 9,
+            "legend.fontsize": 8,
+            "xtick.labelsize": 8,
+            "ytick.labelsize": 8,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.linewidth": 0.8,
+            "lines.linewidth": 1.4,
+            "legend.frameon": False,
+            "image.cmap": "gray",
+            "image.interpolation": "nearest",
+            "svg.fonttype": "path",
+            "svg.hashsalt": "inflate",
+            "axes.prop_cycle": mpl.cycler(
+                color=[COLOURS.wall, COLOURS.target, COLOURS.medium, COLOURS.high, COLOURS.low, COLOURS.ink]
+            ),
+        }
+    )
+
+
+def figure(rows=1, cols=1, *, width=TEXT_WIDTH, height=6.0, **kwargs):
+    """A figure of `width` × `height` centimetres with `rows` × `cols` axes.
+
+    Returns
+    -------
+    fig : matplotlib.figure.Figure
+    axes : matplotlib.axes.Axes or ndarray of Axes
+        As :func:`matplotlib.pyplot.subplots` returns them; `kwargs` are passed on.
+    """
+    return plt.subplots(rows, cols, figsize=(width / 2.54, height / 2.54), **kwargs)
+
+
+def picture_axes(ax):
+    """Turn an axes into a bare frame for a picture: equal aspect, no ticks, no spines."""
+    ax.set_aspect("equal")
+    ax.set_xticks([])
+    ax.set_yticks([])
+    ax.spines[:].set_visible(False)
+    return ax
