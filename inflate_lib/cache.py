@@ -1,0 +1,230 @@
+"""Expensive steps, computed once: safe under two processes and a killed run.
+
+A result is one file, ``data/cache/<kind>/<hash of its key><suffix>``, with a ``.json`` sidecar that holds the key in
+clear text and the digest of the bytes. The sidecar is written last and is what makes a result count, so a reader never
+sees a half-written file, and a damaged one is made again.
+"""
+
+import ast
+import dataclasses
+import errno
+import hashlib
+import importlib.util
+import io
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+
+from inflate_lib import paths
+
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
+MARK = "\x01"  # begins a line that the runner shows while a notebook runs, and does not keep in it
+RUNNER = "INFLATE_MANIFEST"  # set by the runner, to the file in which it wants to be told what was published
+_verified: set[tuple[str, int, int]] = set()  # files whose digest this process has checked already
+
+
+class CacheError(RuntimeError):
+    """The cache cannot be written (full disk, read-only folder) or a step did not write its result."""
+
+
+def cached(kind: str, key: Mapping, make: Callable[[Path, Path], None], suffix: str) -> Path:
+    """Return the file of an expensive step, making it first where it is not there yet.
+
+    Parameters
+    ----------
+    kind
+        What is stored, as a folder name: ``"dataset"``, ``"model"``.
+    key
+        Everything that the result depends on: parameters, :func:`digest` of inputs, :func:`code_version` of the code.
+        Values are numbers, strings, booleans, None, and lists, mappings or dataclasses of those.
+    make
+        ``make(target, scratch)`` writes the file `target` (a temporary name, moved into place on success). `scratch`
+        is a folder that survives a killed run, for finished parts and checkpoints; it goes away on success.
+    suffix
+        End of the file name, with its dot: ``".nc"``.
+
+    Returns
+    -------
+    Path
+        The finished file. When another process is making it, this call waits for that one.
+
+    Raises
+    ------
+    CacheError
+        The cache folder cannot be written, or `make` left no file. Errors of `make` itself pass through.
+    """
+    text = json.dumps(_plain(key), sort_keys=True, allow_nan=False)
+    name = hashlib.sha256(text.encode()).hexdigest()[:16]
+    folder = paths.CACHE / kind
+    result = folder / f"{name}{suffix}"
+    if _is_whole(result):
+        return result
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _locked(folder / f".{name}.lock", f"{kind} {name}"):
+            if not _is_whole(result):  # another process may have made it while we waited
+                _make(result, text, make, scratch=folder / f".{name}.scratch")
+    except OSError as error:
+        if error.errno in _NO_ROOM and _concerns_cache(error):
+            raise CacheError(
+                f"cannot write the cache {paths.CACHE}: {error.strerror}. Make room or set INFLATE_CACHE to "
+                "another folder; finished parts are kept and the next run goes on from them."
+            ) from error
+        raise
+    return result
+
+
+def digest(*things: Any) -> str:
+    """Content hash of arrays (values, shape and dtype), bytes, text or files (Path): 32 hexadecimal digits."""
+    total = hashlib.sha256()
+    for thing in things:
+        if isinstance(thing, Path):
+            with thing.open("rb") as stream:
+                part = hashlib.file_digest(stream, "sha256").digest()
+        elif isinstance(thing, bytes | bytearray | memoryview):
+            part = hashlib.sha256(thing).digest()
+        elif isinstance(thing, str):
+            part = hashlib.sha256(b"text" + thing.encode()).digest()
+        else:
+            array = np.ascontiguousarray(thing)
+            if array.dtype.hasobject:
+                raise ValueError(f"digest() takes arrays of numbers, bytes, text or a Path, not {type(thing).__name__}")
+            head = f"{array.dtype.str}{array.shape}".encode()
+            part = hashlib.sha256(head + array.tobytes()).digest()
+        total.update(part)
+    return total.hexdigest()[:32]
+
+
+def code_version(*modules: ModuleType | str | Path) -> str:
+    """Hash of the code of modules (or their names, or source files), without comments, docstrings and layout.
+
+    A package counts with all it contains. Put the hash into a key, and a change of the code makes the result again
+    while a better comment does not.
+    """
+    total = hashlib.sha256()
+    for module in modules:
+        for source in _sources(module):
+            total.update(_bare_code(source.read_text(encoding="utf-8")).encode())
+    return total.hexdigest()[:16]
+
+
+def _make(result: Path, key_text: str, make: Callable[[Path, Path], None], scratch: Path) -> None:
+    """Write `result` and its sidecar; the caller holds the lock."""
+    scratch.mkdir(exist_ok=True)
+    partial = result.with_name(f".partial-{result.name}")  # one name is enough: the lock admits one maker
+    partial.unlink(missing_ok=True)
+    with redirect_stdout(_Aside(sys.stdout)):
+        make(partial, scratch)
+    if not partial.is_file():
+        raise CacheError(f"the step that makes {result} wrote no file")
+    sidecar = {"key": json.loads(key_text), "bytes": partial.stat().st_size, "digest": digest(partial)}
+    note = _sidecar(result)
+    note.unlink(missing_ok=True)  # from here to the last line the result does not count
+    os.replace(partial, result)
+    draft = note.with_name(f".partial-{note.name}")
+    draft.write_text(json.dumps(sidecar, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    os.replace(draft, note)
+    shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _is_whole(result: Path) -> bool:
+    """Whether the result is there with the bytes that its sidecar promises."""
+    try:
+        state = result.stat()
+        seen = (str(result), state.st_mtime_ns, state.st_size)
+        promised = json.loads(_sidecar(result).read_text(encoding="utf-8"))
+        if promised["bytes"] != state.st_size:
+            return False
+        if seen not in _verified:
+            if promised["digest"] != digest(result):
+                return False
+            _verified.add(seen)
+    except (OSError, ValueError, KeyError, TypeError):  # missing or unreadable: make it again
+        return False
+    return True
+
+
+def _sidecar(result: Path) -> Path:
+    return result.with_name(result.name + ".json")
+
+
+@contextmanager
+def _locked(path: Path, what: str) -> Iterator[None]:
+    """Hold a lock that the operating system frees when its holder dies; say so when another process holds it."""
+    lock = FileLock(path)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        print(f"another process is computing {what}; waiting for it", file=_Aside(sys.stdout), flush=True)
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+class _Aside(io.TextIOBase):
+    """Marks what a step prints under the runner: progress would come and go in the book with the state of the cache."""
+
+    def __init__(self, stream: io.TextIOBase):
+        self.stream, self.at_start = stream, True
+        self.mark = MARK if RUNNER in os.environ else ""
+
+    def write(self, text: str) -> int:
+        for line in text.splitlines(keepends=True):
+            self.stream.write(self.mark + line if self.at_start else line)
+            self.at_start = line.endswith(("\n", "\r"))
+        return len(text)
+
+    def flush(self) -> None:
+        self.stream.flush()
+
+
+def _concerns_cache(error: OSError) -> bool:
+    return error.filename is None or Path(error.filename).resolve().is_relative_to(paths.CACHE.resolve())
+
+
+def _plain(value: Any) -> Any:
+    """The value in JSON's own types, so that equal keys give equal text."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, Mapping):
+        return {str(name): _plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    raise ValueError(
+        f"a cache key cannot hold {type(value).__name__}; use numbers, text, lists, or digest() of arrays and files"
+    )
+
+
+def _sources(module: ModuleType | str | Path) -> list[Path]:
+    """The source files of a module, or of everything in a package, found without importing it."""
+    if isinstance(module, Path):
+        return [module]
+    spec = module.__spec__ if isinstance(module, ModuleType) else importlib.util.find_spec(module)
+    if spec is None or spec.origin is None:
+        raise ValueError(f"no source found for module {module!r}")
+    origin = Path(spec.origin)
+    return sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]
+
+
+def _bare_code(source: str) -> str:
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        documented = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        if documented and ast.get_docstring(node, clean=False) is not None:
+            node.body = node.body[1:] or [ast.Pass()]
+    return ast.unparse(tree)

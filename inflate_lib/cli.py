@@ -1,0 +1,99 @@
+"""The command ``inflate``: reproduce the notebooks, build the book, make the data set, train a model."""
+
+import os
+import platform
+import sys
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    help="Inverse design of inflatable structures with denoising diffusion: the runnable companion of the paper.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+ProfileName = Annotated[str, typer.Option(help="A file in notebooks/profiles, without .yml: ci, laptop, paper.")]
+Jobs = Annotated[int, typer.Option(help="Notebooks side by side.")]
+Force = Annotated[bool, typer.Option("--force", help="Execute fresh notebooks too.")]
+
+
+@app.callback()
+def main(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False) -> None:
+    """Set the way in which errors are shown."""
+    if debug:
+        os.environ["INFLATE_DEBUG"] = "1"
+
+
+@app.command()
+def reproduce(
+    profile: ProfileName = "ci",
+    only: Annotated[list[str] | None, typer.Option(help="One notebook, by number or name; may be repeated.")] = None,
+    jobs: Jobs = 2,
+    force: Force = False,
+) -> None:
+    """Execute the notebooks under a profile and regenerate their figures and tables."""
+    from inflate_lib.reproduce import reproduce
+
+    reproduce(profile, only or (), jobs, force)
+
+
+@app.command()
+def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False) -> None:
+    """Execute what is not fresh, then build the book with warnings as errors."""
+    from inflate_lib.reproduce import build_book, reproduce
+
+    reproduce(profile, (), jobs, force)
+    build_book(profile)
+
+
+@app.command()
+def dataset(
+    source: Annotated[str, typer.Option(help="auto, mnist or digits.")] = "auto",
+    structures: Annotated[int | None, typer.Option(help="How many sevens (all by default).")] = None,
+) -> None:
+    """Inflate the sevens, store the data set, print a summary."""
+    from inflate_lib.datasets import simulated_sevens
+
+    print(simulated_sevens(source=source, n_structures=structures))
+
+
+@app.command()
+def train(
+    descriptor: Annotated[str, typer.Option(help="height, width, box, area, axis, or all.")] = "all",
+    profile: ProfileName = "ci",
+) -> None:
+    """Train the models of the training notebook under a profile, or find them trained."""
+    from inflate_lib import paths
+    from inflate_lib.datasets import simulated_sevens
+    from inflate_lib.descriptors import DESCRIPTORS
+    from inflate_lib.experiments import trained_models
+    from inflate_lib.profiles import load_profile
+
+    given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
+    names = list(DESCRIPTORS) if descriptor == "all" else [descriptor]
+    data = simulated_sevens(given["source"], given["n_structures"] or None)
+    models = trained_models(names, given["training"], data, given["n_augmented"], given["seed"])
+    print(f"trained: {', '.join(models)}; the files are in {paths.CACHE / 'model'}")
+
+
+@app.command()
+def info() -> None:
+    """Print versions, folders and the device that training would use."""
+    from inflate_lib import paths
+    from inflate_lib.publishing import package_versions
+
+    print(f"Python {platform.python_version()} on {platform.platform()}")
+    for name, version in package_versions().items():
+        print(f"{name} {version}")
+    print(f"checkout {paths.ROOT}\ncache {paths.CACHE}\nMNIST {os.environ.get('INFLATE_MNIST_DIR', 'by download')}")
+
+
+def run() -> None:
+    """Entry point: an error that the library foresaw is one clear message and exit code 1, not a traceback."""
+    try:
+        app()
+    except (ValueError, RuntimeError, OSError) as error:
+        if os.environ.get("INFLATE_DEBUG"):
+            raise
+        sys.exit(f"inflate: {error}")

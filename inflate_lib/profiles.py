@@ -1,0 +1,201 @@
+"""Profiles: how much computing a run of the notebooks may cost, checked before anything runs.
+
+A profile is a file ``notebooks/profiles/<name>.yml``::
+
+    name: ci
+    description: minutes on two cores
+    common:                  # given to every notebook that declares the parameter
+      seed: 0
+    notebooks:
+      08_training:           # one section per notebook
+        training_steps: 2000
+
+A notebook declares its parameters, with their defaults, in the cell tagged ``parameters``.
+"""
+
+import ast
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jupytext
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from inflate_lib import paths
+
+
+class ProfileError(ValueError):
+    """A profile, or the parameters cell of a notebook, that cannot be used as it is written."""
+
+
+class Profile(BaseModel):
+    """One parameter set for all notebooks."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_-]*$")
+    description: str = ""
+    common: dict[str, Any] = {}
+    notebooks: dict[str, dict[str, Any]] = {}
+
+    @field_validator("common", "notebooks", mode="before")
+    @classmethod
+    def _empty_heading(cls, value: Any) -> Any:
+        """A heading with nothing below it, which YAML reads as null, is an empty section."""
+        return {} if value is None else value
+
+    @field_validator("notebooks", mode="before")
+    @classmethod
+    def _empty_section(cls, value: Any) -> Any:
+        return {k: {} if v is None else v for k, v in value.items()} if isinstance(value, dict) else value
+
+    def parameters(self, notebook: Path) -> dict[str, Any]:
+        """All parameters of a notebook under this profile: its defaults, then `common`, then its own section."""
+        declared = declared_parameters(notebook)
+        given = {name: value for name, value in self.common.items() if name in declared}
+        given |= self.notebooks.get(notebook.stem, {})
+        if "profile" in declared:
+            given["profile"] = self.name
+        return declared | {name: _converted(value, declared[name]) for name, value in given.items()}
+
+
+def load_profile(name: str, folder: Path | None = None) -> Profile:
+    """Read ``<name>.yml``; ProfileError names the file and what to change where it does not follow the layout."""
+    folder = folder or paths.PROFILES
+    path = folder / f"{name}.yml"
+    if not path.is_file():
+        there = ", ".join(sorted(file.stem for file in folder.glob("*.yml"))) or "none"
+        raise ProfileError(f"no profile {name!r} in {folder}; there are: {there}")
+    try:
+        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
+        profile = Profile.model_validate(content)
+    except yaml.YAMLError as error:
+        raise ProfileError(f"{path} is not valid YAML: {error}") from error
+    except ValidationError as error:
+        lines = [f"  {'.'.join(map(str, e['loc'])) or 'the file'}: {e['msg']}" for e in error.errors()]
+        head = f"{path} is no profile (name, description, common, notebooks):"
+        raise ProfileError("\n".join([head, *lines])) from error
+    if profile.name != name:
+        raise ProfileError(f"{path} calls itself {profile.name!r}: name and file name must agree")
+    return profile
+
+
+def check_profile(profile: Profile, notebooks: list[Path]) -> None:
+    """Compare a profile with what all the notebooks declare; ProfileError lists everything that does not fit."""
+    declared = {path.stem: declared_parameters(path) for path in notebooks}
+    problems = []
+    for name, value in profile.common.items():
+        users = [parameters[name] for parameters in declared.values() if name in parameters]
+        if not users:
+            problems.append(f"common.{name}: no notebook declares this parameter")
+        problems += {_mismatch(f"common.{name}", value, default) for default in users} - {None}
+    for notebook, section in profile.notebooks.items():
+        if notebook not in declared:
+            problems.append(f"notebooks.{notebook}: there is no such notebook; there are: {', '.join(declared)}")
+            continue
+        for name, value in section.items():
+            where = f"notebooks.{notebook}.{name}"
+            if name == "profile":
+                problems.append(f"{where}: the runner sets this one itself")
+            elif name not in declared[notebook]:
+                problems.append(f"{where}: the notebook does not declare it; it has {', '.join(declared[notebook])}")
+            elif problem := _mismatch(where, value, declared[notebook][name]):
+                problems.append(problem)
+    if problems:
+        head = f"profile {profile.name!r} does not fit the notebooks:"
+        raise ProfileError("\n".join([head, *(f"  {problem}" for problem in problems)]))
+
+
+def declared_parameters(notebook: Path) -> dict[str, Any]:
+    """Names and defaults from the cell tagged ``parameters`` of a MyST notebook; empty where it has none.
+
+    Raises
+    ------
+    ProfileError
+        Something other than ``name = literal`` stands in that cell, or there are two such cells.
+    """
+    state = notebook.stat()
+    return dict(_declared(notebook, state.st_mtime_ns, state.st_size))
+
+
+@functools.lru_cache(maxsize=256)
+def _declared(notebook: Path, _changed: int, _size: int) -> dict[str, Any]:
+    cells = [c for c in jupytext.read(notebook).cells if "parameters" in c.metadata.get("tags", [])]
+    if len(cells) > 1:
+        raise ProfileError(f"{notebook.name}: {len(cells)} cells are tagged 'parameters'; a notebook has one")
+    found = {}
+    try:
+        for line in ast.parse(cells[0].source if cells else "").body:
+            target = line.targets[0] if isinstance(line, ast.Assign) else line.target
+            found[target.id] = ast.literal_eval(line.value)
+    except (SyntaxError, AttributeError, ValueError) as error:
+        raise ProfileError(f"{notebook.name}: the parameters cell may hold only lines `name = plain value`") from error
+    if tuples := [name for name, value in found.items() if isinstance(value, tuple)]:
+        raise ProfileError(f"{notebook.name}: {', '.join(tuples)}: papermill knows no tuples, write a list")
+    return found
+
+
+def _mismatch(where: str, value: Any, default: Any) -> str | None:
+    """What is wrong with a value, given the notebook's default; None where it fits.
+
+    In a mapping the entries that the default has too are compared with those; the library judges any others.
+    """
+    if isinstance(value, Mapping) and isinstance(default, Mapping):
+        problems = (_mismatch(f"{where}.{name}", entry, default.get(name)) for name, entry in value.items())
+        return next(filter(None, problems), None)
+    hint = f"; YAML reads {value} as text: write {_with_point(value)}" if _is_number(value) else ""
+    if default is None:
+        return f"{where}: {value!r} is str{hint}" if hint else None
+    if _fits(value, default):
+        return None
+    kinds = type(value).__name__, type(default).__name__
+    return f"{where}: {value!r} is {kinds[0]}, the notebook's default {default!r} is {kinds[1]}{hint}"
+
+
+def _fits(value: Any, default: Any) -> bool:
+    if isinstance(default, bool) or isinstance(value, bool):
+        return isinstance(value, bool) and isinstance(default, bool)
+    if isinstance(default, float):
+        return isinstance(value, int | float)
+    if isinstance(default, list):
+        like = default[0] if len({type(entry) for entry in default}) == 1 else None
+        return isinstance(value, list) and all(like is None or _fits(entry, like) for entry in value)
+    return isinstance(value, type(default))
+
+
+def _converted(value: Any, default: Any) -> Any:
+    """The value in the type of the default: a profile may write 1 for 1.0."""
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(default, Mapping) and isinstance(value, Mapping):
+        return {name: _converted(entry, default.get(name)) for name, entry in value.items()}
+    if isinstance(default, list) and default and isinstance(value, list):
+        return [_converted(entry, default[0]) for entry in value]
+    return value
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a text is a number that YAML did not recognise, such as 1e-3."""
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return False
+    return isinstance(value, str)
+
+
+def _with_point(number: str) -> str:
+    mantissa, exponential, exponent = number.lower().partition("e")
+    return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{exponent}" if exponential else number
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML that refuses a key given twice instead of keeping the last."""
+
+    def construct_mapping(self, node, deep=False):
+        keys = [key.value for key, _ in node.value]
+        for key, _ in node.value:
+            if keys.count(key.value) > 1:
+                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} is given twice", key.start_mark)
+        return super().construct_mapping(node, deep)

@@ -1,0 +1,199 @@
+"""Where the images of the digit seven come from: MNIST, or the small embedded set of scikit-learn.
+
+MNIST is looked for in the folder that ``INFLATE_MNIST_DIR`` names; without one it is downloaded once from a public
+mirror into the cache. Either way the SHA-256 of the decompressed bytes must be the published one, or the file is not
+used. Where MNIST cannot be had, ``source="auto"`` falls back to the 179 sevens that ship with scikit-learn, aloud.
+"""
+
+import gzip
+import hashlib
+import os
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from inflate_lib import paths
+
+SOURCES = ("auto", "mnist", "digits")
+DESCRIPTIONS = {"train": "MNIST training sevens", "test": "MNIST test sevens", "digits": "scikit-learn digits"}
+FILES = {
+    "train": ("train-images-idx3-ubyte", "train-labels-idx1-ubyte"),
+    "test": ("t10k-images-idx3-ubyte", "t10k-labels-idx1-ubyte"),
+}
+SHA256 = {  # of the decompressed files
+    "train-images-idx3-ubyte": "ba891046e6505d7aadcbbe25680a0738ad16aec93bde7f9b65e87a2fc25776db",
+    "train-labels-idx1-ubyte": "65a50cbbf4e906d70832878ad85ccda5333a97f0f4c3dd2ef09a8a9eef7101c5",
+    "t10k-images-idx3-ubyte": "0fa7898d509279e482958e8ce81c8e77db3f2f8254e26661ceb7762c4d494ce7",
+    "t10k-labels-idx1-ubyte": "ff7bcfd416de33731a308c3f266cc351222c34898ecbeaf847f06e48f7ec33f2",
+}
+MIRRORS = (
+    "https://ossci-datasets.s3.amazonaws.com/mnist/",
+    "https://storage.googleapis.com/cvdf-datasets/mnist/",
+)
+TIMEOUT = (4, 10)  # seconds to connect, seconds without a byte
+
+_network_failure = None  # remembered, so that one process waits for a dead network only once
+
+
+@dataclass(frozen=True)
+class Sevens:
+    """Grey images of sevens, ``images`` (n, 28, 28) uint8, with the name of their source."""
+
+    images: np.ndarray
+    source: str
+    description: str
+
+    def __len__(self):
+        return len(self.images)
+
+
+def resolve_source(source="auto"):
+    """The source that ``source`` stands for: ``"mnist"`` or ``"digits"``.
+
+    ``"auto"`` is MNIST where it can be had, else the embedded digits, and then it says so on standard output. Once
+    ``INFLATE_MNIST_DIR`` is set it must hold the files: a missing or wrong one is an error, never a silent fallback.
+    """
+    if source not in SOURCES:
+        raise ValueError(f"source is {source!r}; it must be one of {', '.join(map(repr, SOURCES))}")
+    if source != "auto":
+        return source
+    try:
+        for name in FILES["train"]:
+            _locate(name)
+    except ConnectionError as error:
+        print(f"{error}\nUsing the embedded scikit-learn digits instead of MNIST.")
+        return "digits"
+    return "mnist"
+
+
+def load_sevens(source="auto", limit=None, split="train"):
+    """Load the sevens of MNIST or of the embedded digits.
+
+    Parameters
+    ----------
+    source : {"auto", "mnist", "digits"}
+        See :func:`resolve_source`.
+    limit : int, optional
+        Keep the first ``limit`` sevens. More than there are means all of them, with a line that says so.
+    split : {"train", "test"}
+        MNIST's 6265 training sevens (the paper's) or its 1028 test sevens; the embedded digits are not split.
+
+    Raises
+    ------
+    FileNotFoundError
+        ``INFLATE_MNIST_DIR`` names a folder that lacks a file.
+    ValueError
+        A file is corrupt, truncated or not MNIST's; or an argument is out of range.
+    ConnectionError
+        ``source="mnist"``, no folder is named and no mirror delivers.
+    """
+    if split not in FILES:
+        raise ValueError(f"split is {split!r}; it must be 'train' or 'test'")
+    if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int | np.integer) or limit < 1):
+        raise ValueError(f"limit is {limit!r}; it must be a whole number of at least 1, or None for all sevens")
+    source = resolve_source(source)
+    images = _mnist_sevens(split) if source == "mnist" else _embedded_sevens()
+    description = DESCRIPTIONS[split if source == "mnist" else "digits"]
+    if limit is not None and limit > len(images):
+        print(f"{limit} sevens were asked for; {description} are {len(images)}, so all of them are used.")
+    return Sevens(images[:limit], source, description)
+
+
+def _mnist_sevens(split):
+    images_name, labels_name = FILES[split]
+    labels = np.frombuffer(_read(_locate(labels_name), labels_name), np.uint8, offset=8)
+    pixels = np.frombuffer(_read(_locate(images_name), images_name), np.uint8, offset=16)
+    return pixels.reshape(-1, 28, 28)[labels == 7]
+
+
+def _locate(name):
+    """Path of one MNIST file: in the user's folder if one is named, else in the cache, downloaded if need be."""
+    named = os.environ.get("INFLATE_MNIST_DIR")
+    if not named:
+        return _download(name)
+    folder = Path(named).expanduser()
+    if not folder.is_dir():  # a relative name is meant from the checkout, too: notebooks run in folders of their own
+        folder = paths.ROOT / folder
+    for candidate in (Path(folder, name), Path(folder, name + ".gz")):
+        if candidate.is_file():
+            return candidate
+    raise FileNotFoundError(
+        f"INFLATE_MNIST_DIR is {named}, but there is no {name} or {name}.gz in it. Put MNIST's four files there, or "
+        "unset INFLATE_MNIST_DIR to download them."
+    )
+
+
+def _read(path, name):
+    """The decompressed bytes of an MNIST file, or a ValueError that names it."""
+    try:
+        content = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise ValueError(f"{path} is corrupt or truncated ({error}). Delete it and fetch it again.") from error
+    found = hashlib.sha256(content).hexdigest()
+    if found != SHA256[name]:
+        raise ValueError(
+            f"{path} is not MNIST's {name}, or it is damaged: the SHA-256 of its {len(content)} decompressed bytes is "
+            f"{found}, not {SHA256[name]}. Replace it."
+        )
+    return content
+
+
+def _download(name):
+    """Fetch one file through pooch, which verifies the decompressed bytes before and after they are in the cache."""
+    global _network_failure
+    import pooch
+
+    if _network_failure:
+        raise ConnectionError(_network_failure)
+    pooch.get_logger().setLevel("WARNING")
+    folder, failures = paths.CACHE / "mnist", []
+    for mirror in MIRRORS:
+        try:
+            return Path(
+                pooch.retrieve(
+                    f"{mirror}{name}.gz", f"sha256:{SHA256[name]}", name, folder, downloader=_download_and_unzip
+                )
+            )
+        # an unreachable mirror; one that answers with something else; and pooch's own word for a wrong checksum
+        except (OSError, EOFError, zlib.error, ValueError) as error:
+            failures.append(f"{mirror}: {type(error).__name__}")
+    _network_failure = (
+        f"MNIST's {name} could not be downloaded ({'; '.join(failures)}). Set INFLATE_MNIST_DIR to a folder that "
+        "holds MNIST's files, or use source='digits'."
+    )
+    raise ConnectionError(_network_failure)
+
+
+def _download_and_unzip(url, output_file, pooch_instance):
+    import pooch
+
+    zipped = Path(f"{output_file}.gz")
+    try:
+        pooch.HTTPDownloader(timeout=TIMEOUT)(url, str(zipped), pooch_instance)
+        Path(output_file).write_bytes(gzip.decompress(zipped.read_bytes()))
+    finally:
+        zipped.unlink(missing_ok=True)
+
+
+def _embedded_sevens():
+    from sklearn.datasets import load_digits
+
+    digits = load_digits()
+    return np.stack([_like_mnist(image) for image in digits.images[digits.target == 7] / 16])
+
+
+def _like_mnist(image):
+    """An 8×8 image in [0, 1] the way MNIST was made: 20×20 box, aspect kept, centre of mass in the middle of 28×28."""
+    from skimage.transform import resize
+
+    rows, columns = np.nonzero(image)
+    crop = image[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    shape = np.rint(np.array(crop.shape) * 20 / max(crop.shape)).astype(int)
+    digit = np.clip(resize(crop, shape, order=3, mode="constant"), 0, 1)
+    centre = np.array([np.sum(axis * digit) for axis in np.indices(shape)]) / digit.sum()
+    top, left = np.clip(np.rint(13.5 - centre).astype(int), 0, 28 - shape)
+    frame = np.zeros((28, 28), np.uint8)
+    frame[top : top + shape[0], left : left + shape[1]] = np.rint(255 * digit)
+    return frame
