@@ -1,11 +1,13 @@
-"""Data sets of inflated structures: many images → label, inflate, describe → one self-describing netCDF file (paper sec. 3).
+"""Data sets of inflated structures (paper sec. 3): many images → label, inflate, describe → one netCDF file.
 
 Nothing is dropped: an image that gives no structure, or a structure without an equilibrium, keeps its row with
 ``converged = False`` and the reason.
 """
 
 import os
+import zlib
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import xarray as xr
@@ -51,9 +53,9 @@ def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=N
     Returns
     -------
     xarray.Dataset
-        One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged), height, width,
-        hull_area, medial_axis (structure, point, axis), factorisations. Descriptors are in lengths and areas of the unit
-        square, NaN where not converged.
+        One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged),
+        height, width, hull_area, medial_axis (structure, point, axis), factorisations. Descriptors are in lengths and
+        areas of the unit square, NaN where not converged.
 
     Raises
     ------
@@ -61,10 +63,10 @@ def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=N
         Where `images` is no sequence of images at all, `n_jobs` is zero, or `n_steps` is below one.
     """
     images = _as_sequence(images)
-    if n_jobs == 0:
-        raise ValueError("n_jobs: 0 processes can do nothing; give 1, 2, … or -1 for one per core")
-    if n_steps < 1:
-        raise ValueError(f"n_steps must be at least 1, not {n_steps!r}")
+    if not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
+        raise ValueError(f"n_jobs must be 1, 2, … processes or -1 for one per core, not {n_jobs!r}")
+    if not isinstance(n_steps, int | np.integer) or n_steps < 1:
+        raise ValueError(f"n_steps must be a whole number of at least 1, not {n_steps!r}")
     starts = range(0, len(images), CHUNK)
     parts = (images[start : start + CHUNK] for start in starts)
     if folder is None:
@@ -72,7 +74,8 @@ def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=N
     else:
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        jobs = (delayed(_simulate_once)(part, n_steps, folder, start) for part, start in zip(parts, starts, strict=True))
+        numbered = zip(parts, starts, strict=True)
+        jobs = (delayed(_simulate_once)(part, n_steps, folder, start) for part, start in numbered)
     workers = 1 if len(images) <= CHUNK else n_jobs
     done = Parallel(n_jobs=workers, return_as="generator")(jobs)
     if progress_text:
@@ -161,12 +164,14 @@ def _simulate(images, n_steps):
         "medial_axis": np.full((n, AXIS_POINTS, 2), np.nan),
         "factorisations": np.zeros(n, dtype=np.int32),
     }
-    if getattr(images, "dtype", None) != np.uint8:
+    whole_numbers = getattr(images, "dtype", None) == np.uint8
+    if not whole_numbers:
         rows["image"] = np.zeros((n, SIZE, SIZE), dtype=np.float32)
     for i, image in enumerate(images):
         try:
+            grey = structures.as_grey(image)
+            rows["image"][i] = image if whole_numbers else grey
             rows["label"][i] = label = structures.label_image(image)
-            rows["image"][i] = image
             result = inflation.inflate(label, n_steps=n_steps)
         except ValueError as error:
             rows["reason"][i] = str(error)
@@ -189,9 +194,9 @@ def _simulate_once(images, n_steps, folder, start):
         return _simulate(images, n_steps)
     path = folder / f"{start:06d}-{n_steps}-{key}.npz"
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return dict(stored)
-    except (OSError, ValueError, EOFError):  # not there, or cut off
+    except (OSError, ValueError, EOFError, KeyError, BadZipFile, zlib.error):  # not there, or damaged
         rows = _simulate(images, n_steps)
     draft = path.with_name(f".{os.getpid()}-{path.name}")
     np.savez(draft, **rows)

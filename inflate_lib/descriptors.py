@@ -1,4 +1,4 @@
-"""Descriptors of a deformed structure (paper sec. 3.2, Fig. 3): height, width, bounding box, hull area, medial axis."""
+"""Descriptors of a deformed structure (paper sec. 3.1, Fig. 3): height, width, bounding box, hull area, medial axis."""
 
 from dataclasses import dataclass
 
@@ -22,8 +22,8 @@ class Descriptors:
     hull_area : float
         Area of their convex hull.
     medial_axis : (30, 2) float
-        Midpoints of the hull's horizontal chords at the heights k h / 30, k = 0, …, 29, from the bottom upwards, moved so that
-        the first is the origin.
+        Midpoints of the hull's horizontal chords at the heights k h / 30, k = 0, …, 29, from the bottom upwards, moved
+        so that the first is the origin.
     """
 
     height: float
@@ -75,13 +75,20 @@ def describe(result, step=-1):
         Where that load step did not converge, or the nodes span no area.
     """
     if hasattr(result, "deformed"):
+        if not -len(result.load_steps) <= step < len(result.load_steps):
+            raise ValueError(f"step must be one of the {len(result.load_steps)} load steps, not {step!r}")
         nodes = result.deformed(step)
         if not np.isfinite(nodes).all():
             raise ValueError(f"the structure has no equilibrium to describe: {result.reason}")
     else:
-        nodes = np.asarray(result, dtype=float)
-        if nodes.ndim != 2 or nodes.shape[1] != 2 or not np.isfinite(nodes).all():
-            raise ValueError(f"nodes: finite coordinates of shape (n, 2) are needed, not {nodes.shape}")
+        try:
+            nodes = np.asarray(result, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"nodes: not an array of numbers ({error})") from None
+        if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) < 3:
+            raise ValueError(f"nodes: coordinates of shape (n, 2) of three nodes or more are needed, not {nodes.shape}")
+        if not np.isfinite(nodes).all():
+            raise ValueError("nodes: some coordinates are NaN or infinite")
     try:
         hull = ConvexHull(nodes)
     except QhullError:
@@ -91,7 +98,7 @@ def describe(result, step=-1):
 
 
 def medial_axis(hull, points=AXIS_POINTS):
-    """Midpoints of the horizontal chords of a convex polygon at equal height increments (paper sec. 3.2, item v).
+    """Midpoints of the horizontal chords of a convex polygon at equal height increments (paper sec. 3.1, item v).
 
     Parameters
     ----------
@@ -151,7 +158,8 @@ def descriptor_matrix(data, name):
     Returns
     -------
     (n, N) float
-        Box as (height, width); the medial axis point by point (x₀, y₀, x₁, y₁, …). NaN where a structure did not converge.
+        Box as (height, width); the medial axis point by point (x₀, y₀, x₁, y₁, …). NaN where a structure did not
+        converge.
     """
     columns = {
         "height": ["height"],

@@ -1,7 +1,7 @@
 """The paper's experiments (sec. 4): train one model per descriptor, ask for targets, inflate what comes out, compare.
 
-Each function here is one expensive step, kept on disk under a key made from its parameters and inputs, so that every notebook
-can call for what it needs and finds it done if another one needed it before.
+Each function here is one expensive step, kept on disk under a key made from its parameters and inputs, so that
+every notebook can call for what it needs and finds it done if another one needed it before.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,13 +18,14 @@ from inflate_lib.descriptors import check_name, descriptor_matrix
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, train
 
 PIXEL = 1 / 28  # in lengths of the unit square
+WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for a drawing to be one structure
 
 #: What one component of each descriptor is called in tables.
 COMPONENTS = {"height": ["h"], "width": ["w"], "box": ["h", "w"], "area": ["A"]}
 
 
 def training_pairs(data, descriptor, n_augmented, seed=0):
-    """Augmented images and descriptors to train on (paper sec. 3.3).
+    """Augmented images and descriptors to train on (paper sec. 3.2).
 
     Parameters
     ----------
@@ -46,7 +47,8 @@ def training_pairs(data, descriptor, n_augmented, seed=0):
     images = data["image"].values
     possible = len(augment(images))
     variants = augment(images, min(n_augmented, possible), seed=seed)
-    return apply_variants(images, variants), augment_descriptors(descriptor_matrix(data, descriptor), descriptor, variants)
+    conditions = augment_descriptors(descriptor_matrix(data, descriptor), descriptor, variants)
+    return apply_variants(images, variants), conditions
 
 
 def trained_model_file(descriptor, training, data, n_augmented=augmentation.PAPER_SAMPLES, seed=0, threads=None):
@@ -67,7 +69,8 @@ def trained_model_file(descriptor, training, data, n_augmented=augmentation.PAPE
     Returns
     -------
     Path
-        A safetensors file for :meth:`inflate_lib.diffusion.TrainedModel.load`. A killed training goes on from its last checkpoint.
+        A safetensors file for :meth:`inflate_lib.diffusion.TrainedModel.load`. A killed training goes on from its
+        last checkpoint.
     """
     check_name(descriptor)
     config = TrainingConfig.from_dict({**training, "seed": seed})
@@ -96,8 +99,8 @@ def trained_model_file(descriptor, training, data, n_augmented=augmentation.PAPE
 def trained_models(names: Sequence[str], training, data, n_augmented=augmentation.PAPER_SAMPLES, seed=0):
     """Train several models side by side, one CPU thread each (on a GPU one after the other).
 
-    Small networks leave a second thread idle most of the time, so that two models on two cores finish sooner than one after
-    the other. Parameters are those of :func:`trained_model_file`.
+    Small networks leave a second thread idle most of the time, so that two models on two cores finish sooner than
+    one after the other. Parameters are those of :func:`trained_model_file`.
 
     Returns
     -------
@@ -134,8 +137,10 @@ def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mappin
     Returns
     -------
     xarray.Dataset
-        As :func:`inflate_lib.simulate_dataset` gives it, one row per structure, target after target, with the variables ``level``
-        (number of the target) and ``target`` (structure, component) besides. Images that give no structure keep their row.
+        As :func:`inflate_lib.simulate_dataset` gives it, one row per structure, target after target, with the variables
+        ``level`` (number of the target), ``target`` (structure, component) and ``valid`` besides: the drawing is one
+        structure, not a broken one of which the largest piece was taken, and it converged. Images that give no
+        structure keep their row.
 
     Raises
     ------
@@ -152,7 +157,10 @@ def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mappin
         images = generate(model, targets[level], seed=seed, **sampling)
         data = datasets.simulate_dataset(images, n_jobs=n_jobs, folder=scratch)
         data["level"] = ("structure", level, {"long_name": "number of the target"})
-        data["target"] = (("structure", "component"), targets[level], {"long_name": f"target {descriptor}", "units": "1"})
+        about = {"long_name": f"target {descriptor}", "units": "1"}
+        data["target"] = (("structure", "component"), targets[level], about)
+        valid = data["converged"].values & [_is_whole(image) for image in images]
+        data["valid"] = ("structure", valid, {"long_name": "one structure that converges"})
         data.attrs |= {"descriptor": descriptor, "seed": seed} | {f"sampling_{k}": v for k, v in sampling.items()}
         datasets.save_dataset(data, target)
 
@@ -165,7 +173,7 @@ def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mappin
         "n_per_target": n_per_target,
         "sampling": sampling,
         "seed": seed,
-        "code": code_version(diffusion, structures, mesh, skyline, inflation, descriptors),
+        "code": code_version(diffusion, structures, mesh, skyline, inflation, descriptors, __name__),
     }
     return datasets.load_dataset(cached("experiment", key, make, ".nc"))
 
@@ -182,8 +190,8 @@ def errors(experiment, descriptor):
     Returns
     -------
     (n,) float
-        Height, width, area: relative error |achieved − target| / target. Box: the mean of its two relative errors. Axis: mean
-        distance of the thirty points, in pixels. NaN where the structure is not valid.
+        Height, width, area: relative error |achieved − target| / target. Box: the mean of its two relative errors.
+        Axis: mean distance of the thirty points, in pixels. NaN where the structure is not valid.
     """
     target, achieved = experiment["target"].values, descriptor_matrix(experiment, descriptor)
     if descriptor == "axis":
@@ -204,37 +212,52 @@ def accuracy(experiment, descriptor):
     Returns
     -------
     pandas.DataFrame
-        A row per target and one for all: the target, the share of valid structures (one closed structure that converges), mean and
-        standard deviation of what was achieved, mean and median error (percent; for axes: pixels), share within 5 percent
-        (axes: within one pixel), and in the last row R², the coefficient of determination of achieved against target.
+        A row per target and one for all: the target, the share of valid structures (one closed structure that
+        converges), mean and standard deviation of what was achieved, mean and median error (percent; for axes:
+        pixels), share within 5 percent (axes: within one pixel), and in the last row R², the coefficient of
+        determination of achieved against target.
     """
-    error, valid = errors(experiment, descriptor), experiment["converged"].values
-    level, target = experiment["level"].values, experiment["target"].values
-    achieved = descriptor_matrix(experiment, descriptor)
-    scale, unit, near = (1, "px", 1) if descriptor == "axis" else (100, "%", 0.05)
+    valid, target = experiment["valid"].values, experiment["target"].values
+    level, achieved = experiment["level"].values, descriptor_matrix(experiment, descriptor)
+    error = errors(experiment, descriptor)
+    unit, scale, near = ("px", 1, 1) if descriptor == "axis" else ("%", 100, 0.05)
+
+    def row(name, here):
+        error_here = pd.Series(error[here & valid])  # pandas: the mean of nothing is NaN, without a warning
+        return {
+            "target": name,
+            "valid": valid[here].mean(),
+            f"mean error ({unit})": scale * error_here.mean(),
+            f"median error ({unit})": scale * error_here.median(),
+            f"within {near} px" if descriptor == "axis" else f"within {near:.0%}": (error_here <= near).mean(),
+        }
+
     rows = []
-    for k in [*np.unique(level), None]:
-        here = np.ones(len(level), dtype=bool) if k is None else level == k
-        good = here & valid
-        row = {"target": "all" if k is None else _words(descriptor, target[here][0], k)}
-        row["valid"] = good.sum() / here.sum()
-        if descriptor != "axis":
-            for column, name in enumerate(COMPONENTS[descriptor]):
-                row[f"mean {name}"] = achieved[good, column].mean() if k is not None and good.any() else np.nan
-                row[f"std {name}"] = achieved[good, column].std() if k is not None and good.any() else np.nan
-        row[f"mean error ({unit})"] = scale * error[good].mean() if good.any() else np.nan
-        row[f"median error ({unit})"] = scale * np.median(error[good]) if good.any() else np.nan
-        row["within 1 px" if descriptor == "axis" else "within 5 %"] = (error[good] <= near).mean() if good.any() else np.nan
-        row["R²"] = np.nan
-        if k is None and good.sum() > 1:
-            row["R²"] = r2_score(target[good], achieved[good], multioutput="variance_weighted")
-        rows.append(row)
-    return pd.DataFrame(rows)
+    for k in np.unique(level):
+        here = level == k
+        reached = pd.DataFrame(achieved[here & valid])
+        spread = {}
+        for column, name in enumerate(COMPONENTS.get(descriptor, [])):
+            spread |= {f"mean {name}": reached[column].mean(), f"std {name}": reached[column].std()}
+        rows.append(row(_words(descriptor, target[here][0], k), here) | spread)
+    everything = row("all", np.ones(len(level), dtype=bool))
+    if valid.sum() > 1:
+        everything["R²"] = r2_score(target[valid], achieved[valid], multioutput="variance_weighted")
+    return pd.DataFrame([*rows, everything]).reindex(columns=[*rows[0], "R²"])
+
+
+def _is_whole(image):
+    """Whether one connected piece holds nearly all bright pixels of a generated image."""
+    bright = image > structures.THRESHOLD
+    try:
+        return structures.main_component(image).sum() >= WHOLE * bright.sum()
+    except ValueError:
+        return False
 
 
 def _words(descriptor, target, number):
     """A target as a table shows it."""
     if descriptor == "axis":
-        return "ABCDEFGHIJ"[number]
+        return f"axis {number + 1}"
     values = ", ".join(f"{value:.3f}" for value in target)
     return f"({values})" if len(target) > 1 else values

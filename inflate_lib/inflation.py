@@ -1,4 +1,4 @@
-"""Inflation of a structure: finite-strain elasticity under a follower pressure (paper sec. 3.1).
+"""Inflation of a structure: finite-strain elasticity under a follower pressure (paper sec. 3).
 
 Plane strain, compressible neo-Hookean (MOOSE's ``ComputeNeoHookeanStress``):
 P = μ (F − F⁻ᵀ) + λ ln J F⁻ᵀ is the gradient of W = μ/2 (F:F − 2) + φ(J) with φ(J) = λ/2 ln² J − μ ln J.
@@ -13,8 +13,8 @@ derivative G of J and the second derivative H of A are constants, and with c = �
 
     K = k + w φ″ c cᵀ + w φ′ G − p H,
 
-symmetric, and cheap to assemble. Elements differ only in where J is taken: at the four Gauss points (``"q1"``, which locks,
-because λ/μ = 100) or once per element as its mean (``"mean-dilatation"``, the default, which does not).
+symmetric, and cheap to assemble. Elements differ only in where J is taken: at the four Gauss points (``"q1"``, which
+locks, because λ/μ = 100) or once per element as its mean (``"mean-dilatation"``, the default, which does not).
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from numba import njit
 from inflate_lib import skyline
 from inflate_lib.mesh import Mesh, build_mesh
 
-LAMBDA, MU = 16.44, 0.1644  # Lamé parameters (paper sec. 3.1)
+LAMBDA, MU = 16.44, 0.1644  # Lamé parameters (paper sec. 3)
 PRESSURE = 0.01  # internal pressure at t = 1: p(t) = PRESSURE · t
 ELEMENTS = ("mean-dilatation", "q1")
 
@@ -61,6 +61,8 @@ class Inflation:
         Why not; empty where converged.
     factorisations : int
         Number of factorisations of the tangent, the measure of effort.
+    lame : (float, float)
+        Lamé parameters (λ, μ).
     """
 
     mesh: Mesh
@@ -124,7 +126,7 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
     element : {"mean-dilatation", "q1"}
         Bilinear quadrilateral with the mean dilatation of Simo, Taylor and Pister (no locking), or plain.
     refine : int
-        Sub-elements per pixel and direction.
+        Sub-elements per pixel and direction; a mesh is taken as it is.
     pressure : float
         Internal pressure at t = 1.
     lame : (float, float)
@@ -138,17 +140,17 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
     Raises
     ------
     ValueError
-        For a label image that cannot be inflated (see :func:`inflate_lib.mesh.build_mesh`) and for parameters out of range.
+        For a label image that cannot be inflated (see :func:`inflate_lib.mesh.build_mesh`) and for parameters out of
+        range.
     """
     if element not in ELEMENTS:
         raise ValueError(f"element must be one of {', '.join(ELEMENTS)}, not {element!r}")
-    if not isinstance(n_steps, int | np.integer) or not 1 <= n_steps <= 10_000:
+    if isinstance(n_steps, bool) or not isinstance(n_steps, int | np.integer) or not 1 <= n_steps <= 10_000:
         raise ValueError(f"n_steps must be a whole number from 1 to 10000, not {n_steps!r}")
-    lam, mu = (float(value) for value in lame)
-    if not (np.isfinite([lam, mu]).all() and lam > 0 and mu > 0):
+    lam, mu = _numbers("lame", lame, 2, "two positive numbers (λ, μ)")
+    if lam <= 0 or mu <= 0:
         raise ValueError(f"lame must be two positive numbers (λ, μ), not {lame!r}")
-    if not np.isfinite(pressure):
-        raise ValueError(f"pressure must be a finite number, not {pressure!r}")
+    (pressure,) = _numbers("pressure", [pressure], 1, "a finite number")
     mesh = label if isinstance(label, Mesh) else build_mesh(label, refine)
 
     system = _System.of(mesh, element, mu)
@@ -160,10 +162,22 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
     displacement[:reached, system.order] = free_positions - mesh.nodes[system.order]
     reason = ""
     if reached < n_steps:
-        reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {pressure * times[reached]:.4g})"
+        last = pressure * times[reached]
+        reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {last:.4g})"
     return Inflation(
         mesh, element, times, pressure * times, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
     )
+
+
+def _numbers(name, values, count, wanted):
+    """`values` as `count` finite floats, or a ValueError that names the parameter."""
+    try:
+        numbers = [float(value) for value in values]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise ValueError(f"{name} must be {wanted}, not {values if count > 1 else values[0]!r}")
+    return numbers
 
 
 def shape_gradients(corners):
@@ -232,8 +246,8 @@ class _System:
         constant, pressure = np.zeros(size), np.zeros(size)
         _assemble_constant(constant, pressure, cells, kind, stiffness, edges, offset)
         return cls(
-            order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness, np.ascontiguousarray(dilatation), weights,
-            edges, mesh.nodes[mesh.pressure_edges], first, offset, constant, pressure,
+            order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness, np.ascontiguousarray(dilatation),
+            weights, edges, mesh.nodes[mesh.pressure_edges], first, offset, constant, pressure,
         )  # fmt: skip
 
     def arrays(self):
@@ -319,7 +333,7 @@ def _residual(corners, cells, kind, stiffness, weights, J, c, edges, edge_corner
 
 @njit(cache=True, nogil=True)
 def _tangent(values, constant, pressure, cells, kind, dilatation, weights, J, c, pi, theta, lam, mu, p, offset):
-    """Skyline of the tangent; `pi` stands for λ ln J and is blended with μ by `theta` (θ = 0 is convex but for −p H)."""
+    """Skyline of the tangent; `pi` stands for λ ln J and is blended with μ by `theta` (θ = 0: convex but for −p H)."""
     for k in range(len(values)):
         values[k] = constant[k] - p * pressure[k]
     for e in range(len(cells)):
@@ -348,7 +362,7 @@ def _tangent(values, constant, pressure, cells, kind, dilatation, weights, J, c,
 
 @njit(cache=True, nogil=True)
 def _largest_step(J, slope, bend, start):
-    """Largest s ≤ start with J + s·slope + s²·bend ≥ MIN_J all along [0, s], for every element (J is quadratic in s)."""
+    """Largest s ≤ start with J + s·slope + s²·bend ≥ MIN_J along all of [0, s], everywhere (J is quadratic in s)."""
     s = start
     for e in range(J.shape[0]):
         for q in range(J.shape[1]):
@@ -399,8 +413,9 @@ def _march(
                 _residual(corners, cells, kind, stiffness, weights, J, c, edges, edge_corners, lam, mu, p, r)
                 for theta in (1.0, 0.5, 0.25, 0.0):
                     _tangent(
-                        values, constant, pressure, cells, kind, dilatation, weights, J, c, pi, theta, lam, mu, p, offset
-                    )
+                        values, constant, pressure, cells, kind, dilatation, weights, J, c, pi, theta, lam, mu, p,
+                        offset,
+                    )  # fmt: skip
                     factorisations += 1
                     done = skyline.factorise(values, first, offset, inverse_pivots)
                     if done == n:
@@ -419,7 +434,7 @@ def _march(
                     break
                 s = _largest_step(J, slope, bend, min(1.0, MAX_MOVE / max(length, MAX_MOVE)))
                 trial += s * step
-                if length <= TOLERANCE and s == 1.0 and theta == 1.0:  # θ = 1: the tangent is positive definite, so stable
+                if length <= TOLERANCE and s == 1.0 and theta == 1.0:  # θ = 1: positive definite, so stable
                     converged = True
                     break
                 pi[:] = lam * (np.log(J) + s * slope / J)

@@ -140,10 +140,12 @@ def _declared(notebook: Path, _changed: int, _size: int) -> dict[str, Any]:
 def _mismatch(where: str, value: Any, default: Any) -> str | None:
     """What is wrong with a value, given the notebook's default; None where it fits.
 
-    In a mapping the entries that the default has too are compared with those; the library judges any others.
+    A mapping may leave out entries of the default, but have none of its own.
     """
     if isinstance(value, Mapping) and isinstance(default, Mapping):
-        problems = (_mismatch(f"{where}.{name}", entry, default.get(name)) for name, entry in value.items())
+        if unknown := [name for name in value if name not in default]:
+            return f"{where}: unknown {', '.join(unknown)}; there are: {', '.join(default)}"
+        problems = (_mismatch(f"{where}.{name}", entry, default[name]) for name, entry in value.items())
         return next(filter(None, problems), None)
     hint = f"; YAML reads {value} as text: write {_with_point(value)}" if _is_number(value) else ""
     if default is None:

@@ -25,11 +25,11 @@ import nbformat
 import yaml
 from filelock import FileLock, Timeout
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from inflate_lib import paths
 from inflate_lib.cache import code_version, digest
+from inflate_lib.display import Bars, Lines
 from inflate_lib.execution import Kernels, Listener, execute
 from inflate_lib.profiles import Profile, check_profile, load_profile
 from inflate_lib.publishing import package_versions
@@ -175,7 +175,7 @@ def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> Job:
 
 def _shared_fingerprint() -> dict[str, Any]:
     """What every notebook may depend on: the library (not this runner), the reference numbers, weights, versions."""
-    runner = {"__init__.py", "cli.py", "execution.py", "reproduce.py"}
+    runner = {"__init__.py", "cli.py", "display.py", "execution.py", "reproduce.py"}
     package = Path(__file__).parent
     modules = sorted(p for p in package.rglob("*.py") if p.parent != package or p.name not in runner)
     data = sorted(p for folder in (paths.REFERENCE, paths.PRETRAINED) for p in folder.rglob("*") if p.is_file())
@@ -213,7 +213,7 @@ def _run(todo: list[Job], jobs: int, console: Console) -> dict[str, float]:
     threads = str(max(1, (os.cpu_count() or 1) // jobs))
     environment = {name: os.environ.get(name, threads) for name in THREADS}
     environment |= {"INFLATE_HOME": str(paths.ROOT), "INFLATE_CACHE": str(paths.CACHE), "PYTHONHASHSEED": "0"}
-    display = _Bars(console) if console.is_terminal else _Lines(console)
+    display = Bars(console) if console.is_terminal else Lines(console)
     seconds = {}
     with _kill_is_ctrl_c(), display, Kernels(environment) as kernels, ThreadPoolExecutor(jobs) as pool:
         futures = [pool.submit(_timed, job, kernels, display) for job in todo]
@@ -275,79 +275,6 @@ def _kill_is_ctrl_c():
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-class _Lines(Listener):
-    """Progress as plain lines, for logs: start and end of a notebook, and now and then where it is."""
-
-    def __init__(self, console: Console, every: float = 20.0):
-        self.console, self.every = console, every
-        self.begin, self.cells, self.at, self.said = time.monotonic(), {}, {}, {}
-
-    def __enter__(self) -> "_Lines":
-        return self
-
-    def __exit__(self, *exception) -> None: ...
-
-    def say(self, notebook: str, text: str) -> None:
-        now = time.monotonic()
-        self.said[notebook] = now
-        line = f"[{now - self.begin:6.1f} s] {notebook}: {text}"
-        self.console.print(line, highlight=False, markup=False, soft_wrap=True)
-
-    def started(self, notebook: str, cells: int) -> None:
-        self.cells[notebook] = cells
-        self.say(notebook, f"started, {cells} cells")
-
-    def cell(self, notebook: str, number: int) -> None:
-        self.at[notebook] = number
-        self.sometimes(notebook, "")
-
-    def text(self, notebook: str, text: str) -> None:
-        self.sometimes(notebook, _last_line(text))
-
-    def sometimes(self, notebook: str, text: str) -> None:
-        if time.monotonic() - self.said[notebook] > self.every:
-            self.say(notebook, f"cell {self.at.get(notebook, 0)}/{self.cells[notebook]} {text}")
-
-    def finished(self, notebook: str, seconds: float) -> None:
-        self.say(notebook, f"done in {seconds:.1f} s")
-
-
-class _Bars(Listener):
-    """Progress bars, one for each notebook at work, with the last line that it printed."""
-
-    def __init__(self, console: Console):
-        columns = "{task.fields[notebook]}", "cell {task.completed}/{task.total}", "{task.fields[text]}"
-        name, count, text = (TextColumn(column, markup=False) for column in columns)
-        shown = SpinnerColumn(), name, BarColumn(20), count, TimeElapsedColumn(), text
-        self.progress = Progress(*shown, console=console)
-        self.tasks = {}
-
-    def __enter__(self) -> "_Bars":
-        self.progress.start()
-        return self
-
-    def __exit__(self, *exception) -> None:
-        self.progress.stop()
-
-    def started(self, notebook: str, cells: int) -> None:
-        self.tasks[notebook] = self.progress.add_task("", total=cells, notebook=notebook, text="")
-
-    def cell(self, notebook: str, number: int) -> None:
-        self.progress.update(self.tasks[notebook], completed=number, text="")
-
-    def text(self, notebook: str, text: str) -> None:
-        self.progress.update(self.tasks[notebook], text=_last_line(text)[:60])
-
-    def finished(self, notebook: str, seconds: float) -> None:
-        self.progress.remove_task(self.tasks[notebook])
-        self.progress.console.print(f"{notebook}: done in {seconds:.1f} s", highlight=False)
-
-
-def _last_line(text: str) -> str:
-    lines = [line.strip() for line in text.replace("\r", "\n").splitlines() if line.strip()]
-    return lines[-1] if lines else ""
 
 
 def _print_timings(console: Console, profile: str, work: list[Job], seconds: dict[str, float]) -> None:

@@ -1,9 +1,9 @@
 """Skyline (envelope) LDLᵀ factorisation of symmetric matrices with two unknowns per node, compiled with numba.
 
-Row i of the lower triangle is stored from its first non-zero to the diagonal, row after row in one array: entry (i, j)
-is ``values[offset[i] + j]``. The fill-in of the factorisation stays inside this envelope, which is narrow after a reverse
-Cuthill–McKee ordering. The two rows of a node begin at the same column, so that the inner products are taken in blocks
-of 2 × 2, which halves the memory traffic of the innermost loop.
+Row i of the lower triangle is stored from its first non-zero to the diagonal, row after row in one array: entry (i,
+j) is ``values[offset[i] + j]``. The fill-in of the factorisation stays inside this envelope, which is narrow after a
+reverse Cuthill–McKee ordering. The two rows of a node begin at the same column, so that the inner products are
+taken in blocks of 2 × 2, which halves the memory traffic of the innermost loop.
 """
 
 import numpy as np

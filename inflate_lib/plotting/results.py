@@ -14,8 +14,8 @@ SYMBOLS = {"height": "$h$", "width": "$w$", "box": "$(h, w)$", "area": "$A$"}
 
 
 def plot_generated(experiment, descriptor, n_show=5):
-    """Figs. 7 to 10: for each target the first `n_show` valid structures, undeformed above and inflated below with the target
-    drawn in; on the right the distribution of all that were generated.
+    """Figs. 7 to 10: for each target the first `n_show` valid structures, undeformed above and inflated below with
+    the target drawn in; on the right the distribution of all that were generated.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def plot_generated_axes(experiment, n_show=3):
             right.plot(*(target + base).T, color=COLOURS.target, linestyle="--", linewidth=1.6, zorder=4)
             middle = (deformed[:, 0].min() + deformed[:, 0].max()) / 2
             right.set(xlim=(middle - extent[0] / 2, middle + extent[0] / 2), ylim=(-0.08, extent[1]))
-        axes[k, 0].set_title(f"target {'ABC'[k]}", loc="left")
+        axes[k, 0].set_title(f"axis {k + 1}", loc="left")
     axes[0, 1].plot([], [], "o-", color=COLOURS.ink, markersize=2, label="achieved")
     axes[0, 1].plot([], [], "--", color=COLOURS.target, label="target")
     fig.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
@@ -115,7 +115,7 @@ def plot_axis_density(experiment):
     -------
     matplotlib.figure.Figure
     """
-    level, valid = experiment["level"].values, experiment["converged"].values
+    level, valid = experiment["level"].values, experiment["valid"].values
     levels = np.unique(level)
     achieved = experiment["medial_axis"].values
     everything = np.concatenate([achieved[valid].reshape(-1, 2), experiment["target"].values.reshape(-1, 2)])
@@ -125,10 +125,11 @@ def plot_axis_density(experiment):
     for k, ax in zip(levels, axes[0], strict=True):
         points = achieved[valid & (level == k)][:, 1:].reshape(-1, 2)  # the first point is the origin by definition
         if len(points):
-            sns.kdeplot(x=points[:, 0], y=points[:, 1], ax=ax, fill=True, cmap="Blues", levels=10, thresh=0.05, bw_adjust=0.6)
+            x, y = points.T
+            sns.kdeplot(x=x, y=y, ax=ax, fill=True, cmap="Blues", levels=10, thresh=0.05, bw_adjust=0.6)
         target = experiment["target"].values[level == k][0].reshape(-1, 2)
         ax.plot(*target.T, "o-", color=COLOURS.target, markersize=2.5, linewidth=1.0, label="target")
-        ax.set(xlabel="$x$", xlim=(-half, half), ylim=(-0.05, 1.05 * high[1]), title=f"target {'ABC'[k]}")
+        ax.set(xlabel="$x$", xlim=(-half, half), ylim=(-0.05, 1.05 * high[1]), title=f"axis {k + 1}")
         ax.set_aspect("equal")
     axes[0, 0].set_ylabel("$y$")
     axes[0, -1].legend(loc="lower right")
@@ -146,7 +147,7 @@ def plot_agreement(experiments):
     fig, axes = figure(1, len(experiments), height=5.8, squeeze=False)
     for ax, (name, experiment) in zip(axes[0], experiments.items(), strict=True):
         target, achieved = experiment["target"].values[:, 0], descriptor_matrix(experiment, name)[:, 0]
-        valid = experiment["converged"].values
+        valid = experiment["valid"].values
         jitter = np.random.default_rng(0).normal(0, 0.004, len(target))
         ax.plot((target + jitter)[valid], achieved[valid], "o", markersize=2, alpha=0.5)
         for value in np.unique(target):
@@ -159,13 +160,13 @@ def plot_agreement(experiments):
 
 def _first_valid(experiment, level, n):
     """Row numbers of the first n valid structures of a target, None where there are fewer."""
-    rows = np.flatnonzero((experiment["level"].values == level) & experiment["converged"].values)[:n].tolist()
+    rows = np.flatnonzero((experiment["level"].values == level) & experiment["valid"].values)[:n].tolist()
     return rows + [None] * (n - len(rows))
 
 
 def _extent(experiment):
     """Width and height that every inflated structure of an experiment fits in."""
-    valid = experiment["converged"].values
+    valid = experiment["valid"].values
     if not valid.any():
         return 1.2, 1.2
     return 1.05 * experiment["width"].values[valid].max(), max(1.0, 1.08 * experiment["height"].values[valid].max())
@@ -199,7 +200,7 @@ def _draw_target(ax, descriptor, target, deformed):
 
 def _plot_achieved(ax, experiment, descriptor):
     """Distribution of what was achieved, by target."""
-    level, valid = experiment["level"].values, experiment["converged"].values
+    level, valid = experiment["level"].values, experiment["valid"].values
     achieved, target = descriptor_matrix(experiment, descriptor), experiment["target"].values
     if descriptor == "box":
         for k in np.unique(level):

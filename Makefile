@@ -1,0 +1,49 @@
+# make book   install, execute the notebooks, build the book     make test   run the tests     make help   the rest
+PYTHON  ?= python3
+PROFILE ?= ci
+JOBS    ?= 2
+
+BIN     := .venv/bin
+PIP     := $(BIN)/python -m pip --disable-pip-version-check
+NEEDS   := pyproject.toml constraints.txt
+
+.DEFAULT_GOAL := help
+.PHONY: help install book reproduce test lab lint clean
+
+help: ## show the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@echo "  options: PROFILE=ci|laptop|paper  JOBS=2  PYTHON=python3 (3.11 or 3.12)"
+
+book: .venv/installed ## execute what is not fresh under PROFILE, build book/_build/html
+	$(BIN)/inflate book --profile $(PROFILE) --jobs $(JOBS)
+
+reproduce: .venv/installed ## execute what is not fresh under PROFILE, without the book
+	$(BIN)/inflate reproduce --profile $(PROFILE) --jobs $(JOBS)
+
+test: .venv/installed-test ## run the tests
+	$(BIN)/python -m pytest
+
+lint: .venv/installed-test ## check the style
+	$(BIN)/ruff check .
+
+lab: .venv/installed-lab ## open JupyterLab on the notebooks
+	$(BIN)/jupyter lab notebooks
+
+install: .venv/installed ## create .venv with the pinned packages
+
+clean: ## remove the book and the executed notebooks (the cache in data/cache stays)
+	rm -rf book/_build book/notebooks
+
+.venv/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' || { \
+	  echo "Python 3.11 or 3.12 is needed, and $(PYTHON) is $$($(PYTHON) --version 2>&1). Try: make book PYTHON=python3.12"; exit 1; }
+	$(PYTHON) -m venv .venv
+	touch $@
+
+.venv/installed: .venv/python $(NEEDS)
+	$(PIP) install --constraint constraints.txt --editable .
+	touch $@
+
+.venv/installed-%: .venv/installed
+	$(PIP) install --constraint constraints.txt --editable '.[$*]'
+	touch $@

@@ -1,0 +1,85 @@
+"""Everything that determines a training run, apart from the data."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+
+import torch
+
+from inflate_lib.diffusion.process import check_objective
+from inflate_lib.diffusion.unet import UNet
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Choices of a training run. Defaults are the paper's (section 4.1).
+
+    Exactly one of ``steps`` and ``epochs`` gives the budget, and ``checkpoint_every`` counts in the same unit.
+    """
+
+    channels: tuple[int, ...] = (64, 128, 256)  # of the U-Net at each scale, finest first
+    embedding: int = 256  # width of the context vector ζ
+    hidden: int = 200  # width of the two hidden layers of the descriptor network
+    attention: bool = False  # self-attention on the coarsest grid
+    objective: str = "epsilon"  # what the network predicts: "epsilon" (paper) or "v"
+    vlb_weight: float = 0.001  # λ of the hybrid loss
+    condition_dropout: float = 0.1  # share of the structures whose descriptor is withheld
+    steps: int | None = None
+    epochs: int | None = None
+    batch_size: int = 100
+    learning_rate: float = 1e-4
+    learning_rate_decay: str = "constant"  # or "cosine": down to zero at the end of the budget
+    warmup_steps: int = 0  # steps over which the learning rate grows to its value
+    ema_decay: float = 0.0  # of the running average of the weights, which is what is kept; 0: none
+    T: int = 1000  # diffusion steps of the cosine schedule
+    seed: int = 0
+    checkpoint_every: int | None = None  # None: 10 epochs (paper), or a twentieth of a budget given in steps
+    log_every: int = 50  # steps that each entry of the history averages
+    device: str = "auto"  # "auto" (CUDA, then MPS, then CPU) or a torch device
+
+    def __post_init__(self):
+        if not isinstance(self.channels, list | tuple) or not self.channels:
+            raise ValueError(f"channels must be a list with the channels of each scale, not {self.channels!r}")
+        object.__setattr__(self, "channels", tuple(self.channels))
+        check_objective(self.objective)
+        if (self.steps is None) == (self.epochs is None):
+            raise ValueError("give the training budget as exactly one of steps and epochs")
+        if self.learning_rate_decay not in ("constant", "cosine"):
+            raise ValueError(f"learning_rate_decay is constant or cosine, not {self.learning_rate_decay!r}")
+        whole = {f.name: getattr(self, f.name) for f in fields(self) if f.type in (int, int | None)}
+        whole |= {f"channels[{i}]": c for i, c in enumerate(self.channels)}
+        for name, value in whole.items():
+            least = 0 if name in ("seed", "warmup_steps") else 1
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+                raise ValueError(f"{name} must be a whole number of at least {least}, not {value!r}")
+        if self.embedding % 2:
+            raise ValueError(f"embedding must be even (cosines and sines), not {self.embedding}")
+        ends = {"condition_dropout": 1, "ema_decay": 1, "vlb_weight": math.inf, "learning_rate": math.inf}
+        for name, end in ends.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < end:
+                raise ValueError(
+                    f"{name} must be a number of at least 0 and less than {end}, not {value!r}"
+                    + " (YAML reads 1e-3 as text: write 1.0e-3)" * isinstance(value, str)
+                )
+        if not isinstance(self.attention, bool):
+            raise ValueError(f"attention must be true or false, not {self.attention!r}")
+
+    def as_dict(self) -> dict:
+        """Plain values, ready for JSON."""
+        return asdict(self) | {"channels": list(self.channels)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping) -> "TrainingConfig":
+        """The reverse of ``as_dict``; an unknown name is a ValueError."""
+        unknown = set(values) - {f.name for f in fields(cls)}
+        if unknown:
+            raise ValueError(f"unknown training options: {', '.join(sorted(unknown))}")
+        return cls(**values)
+
+    def make_net(self, n_conditions: int) -> UNet:
+        """An untrained network; its weights follow from the seed."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            widths = self.channels, self.embedding, self.hidden
+            return UNet(n_conditions, *widths, attention=self.attention)

@@ -1,0 +1,211 @@
+"""Sampling: from noise and a target descriptor to structures (section 2.3), by 1000 ancestral steps or by few.
+
+The network's answer is first turned into an estimate of the clean image, which is clipped to [−1, 1]; both samplers
+then step from x_t and that estimate. Without clipping this is Eq. 10 to the letter.
+"""
+
+import warnings
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from inflate_lib.diffusion import process
+from inflate_lib.diffusion.model import TrainedModel
+from inflate_lib.diffusion.schedule import Schedule, at
+from inflate_lib.diffusion.training import choose_device, random_generator
+
+SAMPLERS = ("ancestral", "ddim")
+
+
+def timesteps(T: int, steps: int) -> list[int]:
+    """Zero-based time steps of a sampler with ``steps`` steps, spaced evenly *down from the last*, T − 1.
+
+    This is the spacing called "trailing": a sampler must begin where its input, pure noise, belongs.
+    """
+    if not 1 <= steps <= T:
+        raise ValueError(f"steps must be between 1 and {T}, not {steps}")
+    return (np.round(np.arange(T, 0, -T / steps)).astype(int) - 1).tolist()[:steps]
+
+
+def ancestral_step(schedule: Schedule, x0: Tensor, x: Tensor, t: Tensor, noise: Tensor) -> Tensor:
+    """Draw x_{t-1} from p_θ (Eq. 9), with σ² = β and an estimate of x₀; the last step (t = 0) adds no noise."""
+    deviation = schedule.betas.sqrt() * (torch.arange(len(schedule)) > 0)
+    return process.posterior_mean(schedule, x0, x, t) + at(deviation, t, x) * noise
+
+
+def ddim_step(
+    schedule: Schedule,
+    x0: Tensor,
+    x: Tensor,
+    t: int,
+    previous: int,
+    eta: float = 0.0,
+    noise: Tensor | None = None,
+) -> Tensor:
+    """Step from time t to any earlier one, ``previous`` (−1 is the clean image), as Song et al. (2021, Eq. 12) do.
+
+    ``eta`` 0 is deterministic; 1 adds as much noise as the exact posterior between the two times has.
+    """
+    now = schedule.alpha_bars[t]
+    before = schedule.alpha_bars[previous] if previous >= 0 else torch.ones_like(now)
+    variance = eta**2 * (1 - before) / (1 - now) * (1 - now / before)
+    # (x − √ᾱ x₀) / √(1 − ᾱ) is the noise that belongs to the (clipped) estimate of x₀.
+    on_noise = ((1 - before - variance).clamp(min=0) / (1 - now)).sqrt()
+    on_x0 = before.sqrt() - on_noise * now.sqrt()
+    stepped = on_x0.item() * x0 + on_noise.item() * x
+    return stepped if noise is None or eta == 0 else stepped + variance.sqrt().item() * noise
+
+
+def guided(net: Callable, x: Tensor, t: Tensor, conditions: Tensor, guidance: float) -> Tensor:
+    """Classifier-free guidance: u + w (c − u), c and u being the answers with and without the descriptor.
+
+    w = 1 is plain conditional sampling (the paper's strength), w = 0 ignores the descriptor, w > 1 exaggerates it.
+    """
+    if guidance == 1:
+        return net(x, t, conditions)
+    without = net(x, t, None)
+    return without if guidance == 0 else without + guidance * (net(x, t, conditions) - without)
+
+
+def denoise(
+    predict: Callable,
+    schedule: Schedule,
+    noise: Iterator[Tensor],
+    objective: str,
+    sampler: str = "ancestral",
+    steps: int = 20,
+    eta: float = 1.0,
+    clip: bool = True,
+) -> Iterator[Tensor]:
+    """The reverse process, one state after another: x_T first, x_0 last.
+
+    Parameters
+    ----------
+    predict : callable
+        ``predict(x, t)`` with t (n,) → the network's answer.
+    noise : iterator of Tensor
+        Standard normal tensors, the first of which is x_T.
+    sampler, steps, eta
+        As in ``generate``.
+    clip : bool
+        Clip the estimates of x₀ to [−1, 1].
+    """
+    if sampler not in SAMPLERS:
+        raise ValueError(f"sampler must be one of {', '.join(SAMPLERS)}, not {sampler!r}")
+    times = timesteps(len(schedule), steps if sampler == "ddim" else len(schedule))
+    x = next(noise)
+    yield x
+    for time, previous in zip(times, times[1:] + [-1], strict=True):
+        t = torch.full((len(x),), time)
+        x0 = process.predicted_x0(schedule, x, t, predict(x, t), objective)
+        x0 = x0.clamp(-1, 1) if clip else x0
+        if sampler == "ancestral":
+            x = ancestral_step(schedule, x0, x, t, next(noise))
+        else:
+            x = ddim_step(schedule, x0, x, time, previous, eta, next(noise) if eta > 0 else None)
+        yield x
+
+
+def generate(
+    model: TrainedModel,
+    conditions: np.ndarray,
+    seed: int = 0,
+    sampler: str = "ancestral",
+    steps: int = 20,
+    eta: float = 1.0,
+    guidance: float = 1.0,
+    batch_size: int = 256,
+    trajectory: list | None = None,
+    device: str = "auto",
+) -> np.ndarray:
+    """Generate one structure for each target descriptor.
+
+    Parameters
+    ----------
+    model : TrainedModel
+    conditions : array, shape (m, N) or (m,)
+        Targets in raw units. One outside the range seen in training draws a warning.
+    seed : int
+        Structure i depends on the seed, on i and on its own target alone, not on the batch size.
+    sampler : "ancestral" or "ddim"
+        All T steps with σ² = β (paper), or ``steps`` steps of DDIM.
+    steps, eta : int, float
+        Of DDIM: number of steps, and noise between 0 (deterministic) and 1. The ancestral sampler ignores them.
+    guidance : float
+        w of u + w (c − u): 1 is plain conditional (paper), 0 unconditional.
+    batch_size : int
+        Structures denoised at a time.
+    trajectory : list, optional
+        Filled with every state of the reverse process, noise first: arrays (m, h, w) on the scale of the images,
+        not clipped.
+    device : str
+        As in ``TrainingConfig``.
+
+    Returns
+    -------
+    array, shape (m, h, w), float32 in [0, 1]
+
+    Raises
+    ------
+    ValueError
+        Wrong number of descriptors, or one that is not finite; unknown sampler; impossible number of steps.
+    """
+    scaled = torch.from_numpy(model.scaled(_checked(model, conditions))).float()
+    if not 0 <= eta <= 1:
+        raise ValueError(f"eta must be between 0 and 1, not {eta}")
+    if batch_size < 1:
+        raise ValueError(f"batch_size must be at least 1, not {batch_size}")
+    place = choose_device(device)
+    net, size = model.net.to(place).eval(), model.image_size
+    states = []
+    for first in range(0, len(scaled), batch_size):
+        rows = range(first, min(first + batch_size, len(scaled)))
+        y = scaled[rows.start : rows.stop].to(place)
+
+        def predict(x, t, y=y):
+            return guided(net, x, t.to(place), y, guidance)
+
+        with torch.inference_mode():
+            noise = _noise(seed, rows, size, place)
+            states.append([])
+            for x in denoise(predict, model.schedule, noise, model.config.objective, sampler, steps, eta):
+                if trajectory is None:
+                    states[-1].clear()  # only the last state is wanted
+                states[-1].append(x[:, 0].cpu())
+    net.cpu()
+    merged = [((torch.cat(batches) + 1) / 2).numpy() for batches in zip(*states, strict=True)]
+    if trajectory is not None:
+        trajectory.extend(merged)
+    return merged[-1].clip(0, 1) if merged else np.empty((0, *size), np.float32)
+
+
+def _noise(seed: int, rows: range, size: tuple[int, int], device: torch.device) -> Iterator[Tensor]:
+    """Standard normal images (n, 1, h, w) without end, each row from a generator of its own."""
+    generators = [random_generator(seed, 3, row) for row in rows]
+    while True:
+        yield torch.stack([torch.randn(1, *size, generator=g) for g in generators]).to(device)
+
+
+def _checked(model: TrainedModel, conditions: np.ndarray) -> np.ndarray:
+    conditions = np.asarray(conditions, dtype=np.float64)
+    wanted = len(model.condition_min)
+    if conditions.ndim == 1 and wanted == 1:
+        conditions = conditions[:, None]
+    if conditions.ndim != 2 or conditions.shape[1] != wanted:
+        raise ValueError(f"this model takes conditions of shape (m, {wanted}), not {conditions.shape}")
+    if not np.isfinite(conditions).all():
+        raise ValueError("conditions must be finite")
+    slack = 1e-9 * np.maximum(1, np.abs(model.condition_max))
+    outside = (conditions < model.condition_min - slack) | (conditions > model.condition_max + slack)
+    if outside.any():
+        j = int(np.argmax(outside.any(axis=0)))
+        worst = conditions[np.argmax(outside[:, j]), j]
+        warnings.warn(
+            f"{int(outside.any(axis=1).sum())} of {len(conditions)} conditions lie outside the range of the training "
+            f"data: component {j} is {worst:.4g}, seen were {model.condition_min[j]:.4g} to "
+            f"{model.condition_max[j]:.4g}. Expect poor structures.",
+            stacklevel=3,
+        )
+    return conditions

@@ -1,0 +1,169 @@
+"""The denoising network: a lean U-Net told the time step and the target descriptor (sections 2.2 and 4.1).
+
+One residual block per scale on the way down and up, two in the middle; the up-convolution also halves the channels
+(as in Ronneberger et al.), which keeps the costly full-resolution layers narrow.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+
+def sinusoidal_embedding(t: Tensor, width: int) -> Tensor:
+    """ζ_t: cosines and sines of the time step (n,) at ``width`` / 2 geometrically spaced frequencies → (n, width)."""
+    frequencies = torch.exp(-math.log(10_000) * torch.arange(width // 2, device=t.device) / (width // 2))
+    angles = t.float()[:, None] * frequencies
+    return torch.cat([angles.cos(), angles.sin()], dim=1)
+
+
+def zero(layer: nn.Module) -> None:
+    """Start a layer at zero."""
+    nn.init.zeros_(layer.weight)
+    nn.init.zeros_(layer.bias)
+
+
+class ResidualBlock(nn.Module):
+    """Two 3×3 convolutions beside a shortcut; the context ζ scales and shifts the second normalisation."""
+
+    def __init__(self, inputs: int, outputs: int, embedding: int, groups: int):
+        super().__init__()
+        self.norm1 = nn.GroupNorm(math.gcd(groups, inputs), inputs)
+        self.conv1 = nn.Conv2d(inputs, outputs, 3, padding=1)
+        self.context = nn.Linear(embedding, 2 * outputs)
+        self.norm2 = nn.GroupNorm(math.gcd(groups, outputs), outputs)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1)
+        self.shortcut = nn.Conv2d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
+        zero(self.conv2)  # each block starts as its shortcut, which makes the first steps stable
+
+    def forward(self, x: Tensor, context: Tensor) -> Tensor:
+        scale, shift = self.context(context)[:, :, None, None].chunk(2, dim=1)
+        h = self.conv1(F.silu(self.norm1(x)))
+        h = torch.addcmul(shift, self.norm2(h), 1 + scale)
+        return self.shortcut(x) + self.conv2(F.silu(h))
+
+
+class Attention(nn.Module):
+    """Self-attention among the pixels of the coarsest grid."""
+
+    def __init__(self, channels: int, heads: int, groups: int):
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.GroupNorm(math.gcd(groups, channels), channels)
+        self.qkv = nn.Conv2d(channels, 3 * channels, 1)
+        self.out = nn.Conv2d(channels, channels, 1)
+        zero(self.out)
+
+    def forward(self, x: Tensor) -> Tensor:
+        n, c, height, width = x.shape
+        qkv = self.qkv(self.norm(x)).reshape(n, 3, self.heads, c // self.heads, -1).transpose(-1, -2)
+        h = F.scaled_dot_product_attention(*qkv.unbind(1))
+        return x + self.out(h.transpose(-1, -2).reshape(n, c, height, width))
+
+
+class UNet(nn.Module):
+    """ε_θ(x_t, ζ(y, t)), or v_θ: noise (or velocity) in an image, given the time step and the descriptor.
+
+    Parameters
+    ----------
+    n_conditions : int
+        Length N of the descriptor vector y.
+    channels : sequence of int
+        Channels at each scale; every further scale halves the grid. The paper's: (64, 128, 256) on 28, 14, 7.
+    embedding, hidden : int
+        Width of the context vector ζ and of the two hidden layers of the descriptor network (paper: 256, 200).
+    attention : bool
+        Self-attention in the middle, on the coarsest grid.
+    groups : int
+        Groups of each normalisation (the largest common divisor with the channels where it does not divide).
+    """
+
+    def __init__(
+        self,
+        n_conditions: int,
+        channels: Sequence[int] = (64, 128, 256),
+        embedding: int = 256,
+        hidden: int = 200,
+        attention: bool = False,
+        groups: int = 8,
+    ):
+        super().__init__()
+        self.n_conditions, self.channels, self.embedding = n_conditions, tuple(channels), embedding
+        self.descriptor = nn.Sequential(
+            nn.Linear(n_conditions, hidden),
+            nn.SiLU(),
+            nn.Linear(hidden, hidden),
+            nn.SiLU(),
+            nn.Linear(hidden, embedding),
+        )
+        # Stands in for ζ_d where the descriptor is withheld (classifier-free guidance): learned like a weight.
+        self.null = nn.Parameter(torch.zeros(embedding))
+
+        def block(inputs, outputs):
+            return ResidualBlock(inputs, outputs, embedding, groups)
+
+        first, last = channels[0], channels[-1]
+        pairs = list(pairwise(channels))  # (finer, coarser)
+        self.stem = nn.Conv2d(1, first, 3, padding=1)
+        self.down_blocks = nn.ModuleList([block(first, first)] + [block(*pair) for pair in pairs])
+        self.downs = nn.ModuleList([nn.Conv2d(c, c, 3, stride=2, padding=1) for c in channels[:-1]])
+        self.middle = nn.ModuleList([block(last, last), block(last, last)])
+        self.attention = Attention(last, max(1, last // 64), groups) if attention else nn.Identity()
+        pairs.reverse()
+        self.ups = nn.ModuleList([nn.Conv2d(coarse, fine, 3, padding=1) for fine, coarse in pairs])
+        self.up_blocks = nn.ModuleList([block(2 * last, last)] + [block(2 * fine, fine) for fine, _ in pairs])
+        self.norm = nn.GroupNorm(math.gcd(groups, first), first)
+        self.out = nn.Conv2d(first, 1, 3, padding=1)
+        zero(self.out)
+        self.to(memory_format=torch.channels_last)
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of trainable numbers."""
+        return sum(p.numel() for p in self.parameters())
+
+    def context(self, t: Tensor, conditions: Tensor | None, dropped: Tensor | None = None) -> Tensor:
+        """ζ(y, t) = ζ_t + ζ_d, with the null vector for ζ_d where ``dropped`` (n,) is true or conditions is None."""
+        if conditions is None:
+            described = self.null
+        else:
+            described = self.descriptor(conditions)
+            if dropped is not None:
+                described = torch.where(dropped[:, None], self.null, described)
+        return sinusoidal_embedding(t, self.embedding) + described
+
+    def forward(self, x: Tensor, t: Tensor, conditions: Tensor | None, dropped: Tensor | None = None) -> Tensor:
+        """Predict noise (or velocity).
+
+        Parameters
+        ----------
+        x : Tensor, shape (n, 1, h, w)
+            Noisy images; h and w divisible by 2 ** (number of scales − 1).
+        t : Tensor of int, shape (n,)
+            Zero-based time steps.
+        conditions : Tensor, shape (n, N), or None
+            Descriptors, min–max scaled to [0, 1]; None withholds them all.
+        dropped : Tensor of bool, shape (n,), optional
+            Where true, this row's descriptor is withheld.
+
+        Returns
+        -------
+        Tensor, shape (n, 1, h, w)
+        """
+        context = F.silu(self.context(t, conditions, dropped))
+        h = self.stem(x.contiguous(memory_format=torch.channels_last))
+        skips = []
+        for i, block in enumerate(self.down_blocks):
+            if i > 0:
+                h = self.downs[i - 1](h)
+            h = block(h, context)
+            skips.append(h)
+        h = self.middle[1](self.attention(self.middle[0](h, context)), context)
+        for i, block in enumerate(self.up_blocks):
+            if i > 0:
+                h = self.ups[i - 1](F.interpolate(h, scale_factor=2.0, mode="nearest"))
+            h = block(torch.cat([h, skips.pop()], dim=1), context)
+        return self.out(F.silu(self.norm(h)))

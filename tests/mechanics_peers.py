@@ -1,0 +1,161 @@
+"""What the tests of the mechanics share: small structures, and independent solvers to compare with.
+
+The solvers share nothing but the mesh with `inflate_lib.inflation`. FElupe assembles the solid and the follower
+pressure by its own means; the mean-dilatation element, which FElupe does not have in this form, is the potential
+written down in PyTorch and differentiated by it.
+"""
+
+import warnings
+
+import felupe
+import numpy as np
+import torch
+from scipy import ndimage
+from scipy.sparse.linalg import spsolve
+
+from inflate_lib.inflation import LAMBDA, MU, PRESSURE
+
+
+def hook():
+    """A small bent structure, (12, 12) labels, with a wall of two pixels."""
+    label = np.zeros((12, 12))
+    label[2:, 1:7] = label[2:8, 1:11] = 0.5
+    label[4:10, 3:5] = label[4:6, 3:9] = 1
+    return label
+
+
+def random_label(seed, size=14, pixels=18):
+    """Labels of a random cavity, a connected walk over at most `pixels` pixels, in a wall of one or two pixels."""
+    rng = np.random.default_rng(seed)
+    void = np.zeros((size, size), dtype=bool)
+    spot, wall = rng.integers(4, size - 4, 2), int(rng.integers(1, 3))
+    for _ in range(int(rng.integers(2, pixels))):
+        void[tuple(spot)] = True
+        spot[rng.integers(2)] += rng.choice([-1, 1])
+        spot = spot.clip(2, size - 3)
+    void = ndimage.binary_fill_holes(void)
+    label = np.where(void, 1, np.where(ndimage.binary_dilation(void, np.ones((2 * wall + 1,) * 2)), 0.5, 0))
+    return np.roll(label, size - 1 - np.flatnonzero(label.any(axis=1)).max(), axis=0)
+
+
+def felupe_system(mesh, order):
+    """FElupe's displacement field, solid and follower pressure for a `Mesh`, and its mesh."""
+    quads = felupe.Mesh(mesh.nodes, mesh.cells, "quad")
+    cavity = np.zeros(len(mesh.nodes), dtype=bool)
+    cavity[mesh.pressure_edges] = True
+    if order == 2:
+        quads = felupe.mesh.convert(quads, order=2, calc_points=True, calc_midfaces=True)
+        assert len(np.unique(quads.points.round(12), axis=0)) == len(quads.points), "a midpoint was made twice"
+        middles = mesh.nodes[mesh.pressure_edges].mean(axis=1)
+        new = quads.points[len(mesh.nodes) :]
+        on_edge = (np.abs(new[:, None] - middles).max(axis=-1) < 1e-9).any(axis=1)
+        cavity = np.concatenate([cavity, on_edge])
+        region = felupe.RegionBiQuadraticQuad(quads)
+        boundary = felupe.RegionBiQuadraticQuadBoundary(quads, mask=cavity, ensure_3d=True)
+    else:
+        region = felupe.RegionQuad(quads)
+        boundary = felupe.RegionQuadBoundary(quads, mask=cavity, ensure_3d=True)
+    field = felupe.FieldContainer([felupe.FieldPlaneStrain(region, dim=2)])
+    on_boundary = felupe.FieldContainer([felupe.FieldPlaneStrain(boundary, dim=2)])
+    solid = felupe.SolidBody(felupe.NeoHookeCompressible(mu=MU, lmbda=LAMBDA), field)
+    assert boundary.mesh.ncells == len(mesh.pressure_edges)
+    return quads, field, solid, felupe.SolidBodyPressure(on_boundary)
+
+
+def inflate_with_felupe(mesh, n_steps=10, order=1, pressure=PRESSURE, tolerance=1e-10):
+    """Deformed nodes (steps, n, 2) from FElupe with bilinear (`order` = 1) or biquadratic elements.
+
+    Newton's method with shorter moves where an element would turn over, and shorter load steps where it diverges.
+    """
+    quads, field, solid, load = felupe_system(mesh, order)
+    free = np.flatnonzero(np.repeat(quads.points[:, 1] > 1e-12, 2))
+    start, deformed, reached, increment = field[0].values.copy(), [], 0.0, pressure / n_steps
+    for target in pressure * np.arange(1, n_steps + 1) / n_steps:
+        while reached < target:
+            p = min(reached + increment, target)
+            field[0].values[:] = start
+            if _newton(field, solid, load, free, p, tolerance):
+                start, reached, increment = field[0].values.copy(), p, 2 * increment
+            else:
+                increment = (p - reached) / 2
+                assert increment > 1e-3 * target, "the peer found no equilibrium"
+        deformed.append(quads.points + start)
+    return np.array(deformed)
+
+
+def _newton(field, solid, load, free, p, tolerance):
+    for _ in range(25):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            # FElupe's pressure is a load: it goes to the other side of the equation
+            r = solid.assemble.vector(field) - load.assemble.vector(field, pressure=p)
+            K = solid.assemble.matrix(field) - load.assemble.matrix(field, pressure=p)
+            step = spsolve(K.tocsc()[free][:, free], -r.toarray().ravel()[free])
+        if not np.isfinite(step).all():
+            return False
+        move = np.zeros(field[0].values.size)
+        move[free] = step * min(1.0, 0.05 / np.abs(step).max())
+        before = field[0].values.copy()
+        for _ in range(8):
+            field[0].values[:] = before + move.reshape(-1, 2)
+            if np.linalg.det(np.moveaxis(field.extract()[0], (0, 1), (-2, -1))).min() > 0.02:
+                break
+            move /= 2
+        if np.abs(step).max() < tolerance:
+            return True
+    return False
+
+
+def potential(mesh, x, p, mean_dilatation=True):
+    """Potential Π of deformed nodes x, (n, 2) float64 tensor: neo-Hookean energy minus p times the cavity's area."""
+    X = torch.from_numpy(mesh.nodes)[torch.from_numpy(mesh.cells)]
+    corners = x[torch.from_numpy(mesh.cells)]
+    F, weights = zip(*(_deformation_gradient(X, corners, xi, eta) for xi in (-1, 1) for eta in (-1, 1)), strict=True)
+    F, weights = torch.stack(F, 1), torch.stack(weights, 1)
+    J = F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
+    energy = (weights * MU / 2 * ((F**2).sum((-1, -2)) - 2)).sum()
+    if mean_dilatation:
+        J, weights = (weights * J).sum(1) / weights.sum(1), weights.sum(1)
+    energy = energy + (weights * (LAMBDA / 2 * J.log() ** 2 - MU * J.log())).sum()
+    start, end = x[torch.from_numpy(mesh.pressure_edges).T]
+    return energy - p * 0.5 * (start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1]).sum()
+
+
+def _deformation_gradient(X, x, xi, eta):
+    """F and its share of the area at the Gauss point (ξ, η) / √3, from the two tangents of the bilinear map."""
+    xi, eta = xi / 3**0.5, eta / 3**0.5
+
+    def tangents(corners):
+        a, b, c, d = corners.unbind(1)
+        along = ((1 - eta) * (b - a) + (1 + eta) * (c - d)) / 4
+        across = ((1 - xi) * (d - a) + (1 + xi) * (c - b)) / 4
+        return torch.stack([along, across], -1)
+
+    reference = tangents(X)
+    return tangents(x) @ torch.linalg.inv(reference), torch.linalg.det(reference)
+
+
+def inflate_with_torch(mesh, n_steps=10, mean_dilatation=True, pressure=PRESSURE):
+    """Deformed nodes (n, 2): Newton's method on `potential`, every derivative from PyTorch, dense matrices."""
+    free = torch.from_numpy(~mesh.clamped)
+    reference = torch.from_numpy(mesh.nodes)
+
+    def energy(u, p):
+        return potential(mesh, reference.index_put((free,), reference[free] + u.reshape(-1, 2)), p, mean_dilatation)
+
+    u = torch.zeros(2 * int(free.sum()), dtype=torch.float64)
+    for p in pressure * np.arange(1, n_steps + 1) / n_steps:
+        for _ in range(60):
+            gradient = torch.func.grad(energy)(u, p)
+            step = torch.linalg.solve(torch.func.hessian(energy)(u, p), -gradient)
+            scale = min(1.0, 0.02 / float(step.abs().max()))
+            while not torch.isfinite(energy(u + scale * step, p)):
+                scale /= 2
+            u = u + scale * step
+            if float(step.abs().max()) < 1e-11:
+                break
+        else:
+            raise AssertionError("the peer found no equilibrium")
+    deformed = mesh.nodes.copy()
+    deformed[~mesh.clamped] += u.numpy().reshape(-1, 2)
+    return deformed

@@ -1,0 +1,332 @@
+"""Training: learns, repeats itself to the last bit, survives a kill, refuses what it cannot use."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import torch
+
+from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, storage, train
+from inflate_lib.diffusion.training import CHECKPOINT, choose_device
+
+TINY = {"channels": (4, 8), "embedding": 16, "hidden": 8, "batch_size": 8, "learning_rate": 1e-3}
+
+
+def config(**options):
+    return TrainingConfig(**{**TINY, "steps": 24, "checkpoint_every": 8, "log_every": 3, "ema_decay": 0.9} | options)
+
+
+def data(n=20, n_conditions=2, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.integers(0, 256, (n, 28, 28), dtype=np.uint8), rng.random((n, n_conditions)) * 5 + 3
+
+
+class Interrupt(Exception):
+    pass
+
+
+def interrupt_at(monkeypatch, step):
+    """Make training fail as it starts this step."""
+    from inflate_lib.diffusion.training import _Run
+
+    advance = _Run.advance
+
+    def interrupted(self, rows):
+        if self.step == step:
+            raise Interrupt
+        advance(self, rows)
+
+    monkeypatch.setattr(_Run, "advance", interrupted)
+
+
+def same(a, b):
+    return all(torch.equal(x, y) for x, y in zip(a.net.state_dict().values(), b.net.state_dict().values(), strict=True))
+
+
+def test_the_same_seed_repeats_itself_and_another_does_not():
+    first, second, other = (train(*data(), config(seed=s), progress=False, threads=1) for s in (1, 1, 2))
+    assert first.history == second.history and same(first, second)
+    assert first.history["loss"] != other.history["loss"]
+
+
+@pytest.mark.parametrize("step", [3, 8, 13, 23])
+def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(tmp_path, monkeypatch, step):
+    whole = train(*data(), config(learning_rate_decay="cosine"), tmp_path / "whole", progress=False, threads=1)
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, step)
+        with pytest.raises(Interrupt):
+            train(*data(), config(learning_rate_decay="cosine"), tmp_path / "cut", progress=False, threads=1)
+    resumed = train(*data(), config(learning_rate_decay="cosine"), tmp_path / "cut", progress=False, threads=1)
+    assert resumed.history == whole.history  # to the last bit
+    assert same(resumed, whole)
+
+
+def test_a_finished_run_is_not_repeated(tmp_path, monkeypatch):
+    first = train(*data(), config(), tmp_path, progress=False)
+    interrupt_at(monkeypatch, 0)
+    assert same(train(*data(), config(), tmp_path, progress=False), first)
+
+
+def test_a_kill_at_any_moment_leaves_a_good_checkpoint(tmp_path):
+    """A child trains and writes checkpoints without pause and is killed; a second one goes on from what is there."""
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[2]); from test_diffusion_training import *\n"
+        "train(*data(), config(steps=100_000, checkpoint_every=1), sys.argv[1], progress=False, threads=1)"
+    )
+    here = os.path.dirname(__file__)
+    command = [sys.executable, "-c", code, str(tmp_path), here]
+    steps = []
+    for _ in range(2):
+        with subprocess.Popen(command) as child:
+            try:
+                deadline = time.monotonic() + 60
+                while not _progressed(tmp_path / CHECKPOINT, steps) and time.monotonic() < deadline:
+                    time.sleep(0.05)
+            finally:
+                child.send_signal(signal.SIGKILL)
+        _, content = storage.read(tmp_path / CHECKPOINT, "checkpoint")
+        steps.append(content["step"])
+    assert 0 < steps[0] < steps[1]
+
+
+def _progressed(path, steps):
+    return path.exists() and storage.read(path, "checkpoint")[1]["step"] > (steps[-1] + 3 if steps else 3)
+
+
+def test_a_failed_write_keeps_the_old_checkpoint(tmp_path, monkeypatch):
+    path = tmp_path / CHECKPOINT
+    storage.write(path, "checkpoint", {"a": torch.ones(3)}, {"step": 1})
+
+    def torn(tensors, target, metadata):
+        target.write_bytes(b"half of")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(storage, "save_file", torn)
+    with pytest.raises(OSError, match="disk full"):
+        storage.write(path, "checkpoint", {"a": torch.zeros(3)}, {"step": 2})
+    tensors, content = storage.read(path, "checkpoint")
+    assert content == {"step": 1} and bool((tensors["a"] == 1).all())
+    assert os.listdir(tmp_path) == [CHECKPOINT]  # nothing half-written lies about
+
+
+def test_a_checkpoint_of_another_run_is_refused(tmp_path):
+    train(*data(), config(), tmp_path, progress=False)
+    for images, conditions, options in ((*data(), {"seed": 3}), (*data(seed=9), {})):
+        with pytest.raises(ValueError, match="another configuration or other data"):
+            train(images, conditions, config(**options), tmp_path, progress=False)
+
+
+def test_weights_that_are_lost_in_the_very_last_step_are_not_saved(tmp_path, monkeypatch):
+    from inflate_lib.diffusion.training import _Run
+
+    advance = _Run.advance
+
+    def explode(self, rows):
+        advance(self, rows)
+        if self.step == 16:  # the loss of this step was still finite
+            with torch.no_grad():
+                self.net.out.bias.fill_(float("inf"))
+
+    monkeypatch.setattr(_Run, "advance", explode)
+    with pytest.raises(FloatingPointError, match=r"weights are no longer finite after step 16"):
+        train(*data(), config(), tmp_path, progress=False)
+    assert storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == 8
+
+
+def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monkeypatch):
+    from inflate_lib.diffusion.training import _Run
+
+    advance = _Run.advance
+
+    def explode(self, rows):
+        if self.step == 12:
+            with torch.no_grad():
+                self.net.out.bias.fill_(float("nan"))
+        advance(self, rows)
+
+    monkeypatch.setattr(_Run, "advance", explode)
+    with pytest.raises(FloatingPointError, match=r"loss became nan between steps 12 and 15.*last good state"):
+        train(*data(), config(), tmp_path, progress=False)
+    tensors, content = storage.read(tmp_path / CHECKPOINT, "checkpoint")
+    assert content["step"] == 8 and all(bool(torch.isfinite(v).all()) for v in tensors.values())
+
+
+def test_learns_sixteen_structures_by_heart():
+    """A bar at one of eight heights, on the left or on the right: the answer must put it where it is wanted."""
+    targets = np.array([(height, side) for height in range(1, 9) for side in (0, 1)], dtype=float)
+    images = np.zeros((16, 14, 14), np.uint8)
+    for image, (height, side) in zip(images, targets.astype(int), strict=True):
+        image[height : height + 3, 7 * side : 7 * side + 6] = 255
+    options = {"channels": (16, 32), "embedding": 64, "hidden": 64, "batch_size": 32, "learning_rate": 4e-3}
+    options |= {"objective": "v", "ema_decay": 0.98, "learning_rate_decay": "cosine", "log_every": 50}
+    budget = config(**options, steps=400, checkpoint_every=1000)
+    model = train(np.repeat(images, 2, 0), np.repeat(targets, 2, 0), budget, progress=False, threads=1)
+    assert model.history["simple"][-1] < 0.25 * model.history["simple"][0]
+
+    def off(made):
+        return np.abs(made - images / 255).mean()
+
+    assert off(generate(model, targets, sampler="ddim", steps=20)) < 0.1
+    assert off(generate(model, targets, sampler="ddim", steps=20, guidance=0)) > 0.15  # it was not told
+
+
+def test_noise_prediction_learns_too():
+    budget = config(steps=240, objective="epsilon", learning_rate=3e-3, log_every=20)
+    simple = train(*data(), budget, progress=False, threads=1).history["simple"]
+    assert simple[0] > 0.5 and simple[-1] < 0.5 * simple[0]
+
+
+def test_history_and_progress(capsys):
+    model = train(*data(), config(steps=20, log_every=4), progress="box")
+    history = model.history
+    assert history["step"] == [4, 8, 12, 16, 20]
+    simple, vlb, total = (np.array(history[name]) for name in ("simple", "vlb", "loss"))
+    np.testing.assert_allclose(total, simple + 0.001 * vlb, rtol=1e-5)  # Eq. 11
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("box: step 20/20  loss ") and "images/s" in lines[0]
+
+
+def test_epochs_count_batches():
+    model = train(*data(20), config(steps=None, epochs=3, batch_size=8, log_every=1), progress=False)
+    assert model.history["step"][-1] == 9  # 8 + 8 + 4 structures an epoch
+
+
+def test_images_may_be_floats():
+    images, conditions = data()
+    whole = train(images, conditions, config(), progress=False, threads=1)
+    floats = train(images / 255.0, conditions, config(), progress=False, threads=1)
+    np.testing.assert_allclose(floats.history["loss"], whole.history["loss"], rtol=1e-3)
+
+
+# --- files ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def model():
+    trained = train(*data(), config(), progress=False)
+    trained.metadata["descriptor"] = "box"
+    return trained
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_saved_and_loaded(model, tmp_path, half):
+    model.save(tmp_path / "m.safetensors", half=half)
+    loaded = TrainedModel.load(tmp_path / "m.safetensors")
+    assert loaded.config == model.config and loaded.history == model.history
+    assert loaded.metadata == {"descriptor": "box"} and loaded.image_size == (28, 28)
+    np.testing.assert_array_equal(loaded.condition_max, model.condition_max)
+    targets = [[5.0, 6.0]]
+    images = [generate(m, targets, sampler="ddim", steps=3) for m in (model, loaded)]
+    np.testing.assert_allclose(*images, atol=2e-2 if half else 0)
+
+
+def test_half_the_size(model, tmp_path):
+    for half in (False, True):
+        model.save(tmp_path / f"{half}", half=half)
+    assert os.path.getsize(tmp_path / "True") < 0.7 * os.path.getsize(tmp_path / "False")
+
+
+def damage(path, kind):
+    content = bytearray(path.read_bytes())
+    if kind == "truncated":
+        content = content[: len(content) // 2]
+    elif kind == "altered":
+        content[-20] ^= 0xFF
+    elif kind == "header altered":
+        at = content.index(b"condition_max")
+        content[at + 18] ^= 0x01
+    elif kind == "empty":
+        content = b""
+    elif kind == "text":
+        content = b"not a model at all, but long enough to hold a header"
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("kind", ["truncated", "altered", "header altered", "empty", "text"])
+def test_a_damaged_file_is_refused_by_name(model, tmp_path, kind):
+    path = tmp_path / "model.safetensors"
+    model.save(path)
+    damage(path, kind)
+    with pytest.raises(ValueError, match=r"model\.safetensors"):
+        TrainedModel.load(path)
+
+
+def test_a_foreign_safetensors_file_is_refused(tmp_path):
+    from safetensors.torch import save_file
+
+    save_file({"weight": torch.ones(3)}, tmp_path / "foreign.safetensors")
+    with pytest.raises(ValueError, match=r"foreign\.safetensors is not a model file"):
+        TrainedModel.load(tmp_path / "foreign.safetensors")
+
+
+def test_a_checkpoint_is_not_a_model(tmp_path):
+    train(*data(), config(), tmp_path, progress=False)
+    with pytest.raises(ValueError, match="not a model file"):
+        TrainedModel.load(tmp_path / CHECKPOINT)
+    with pytest.raises(FileNotFoundError, match=r"none\.safetensors"):
+        TrainedModel.load(tmp_path / "none.safetensors")
+
+
+# --- bad input -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": None}, "exactly one of steps and epochs"),
+        ({"epochs": 3}, "exactly one of steps and epochs"),
+        ({"objective": "score"}, "'score'"),
+        ({"learning_rate_decay": "step"}, "'step'"),
+        ({"batch_size": 0}, "batch_size"),
+        ({"batch_size": 2.5}, "batch_size"),
+        ({"channels": (8, 0)}, r"channels\[1\]"),
+        ({"channels": ()}, "channels"),
+        ({"embedding": 17}, "embedding"),
+        ({"condition_dropout": 1.0}, "condition_dropout"),
+        ({"ema_decay": -0.1}, "ema_decay"),
+        ({"vlb_weight": float("nan")}, "vlb_weight"),
+        ({"learning_rate": -1e-3}, "learning_rate"),
+        ({"learning_rate": "1e-4"}, r"1\.0e-3"),
+        ({"channels": 64}, "channels"),
+        ({"attention": "no"}, "attention"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_an_impossible_configuration_is_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        config(**options)
+
+
+def test_configuration_survives_json():
+    original = config()
+    assert TrainingConfig.from_dict(json.loads(json.dumps(original.as_dict()))) == original
+    with pytest.raises(ValueError, match="momentum"):
+        TrainingConfig.from_dict({"momentum": 0.9, "steps": 3})
+
+
+@pytest.mark.parametrize(
+    ("images", "conditions", "message"),
+    [
+        (np.zeros((3, 28, 28)), np.zeros((2, 1)), "one row for each of 3 images"),
+        (np.zeros((3, 28, 27)), np.zeros((3, 1)), "divisible by 2"),
+        (np.zeros((28, 28)), np.zeros((28, 1)), r"shape \(n, h, w\)"),
+        (np.zeros((0, 28, 28)), np.zeros((0, 1)), r"shape \(n, h, w\)"),
+        (np.full((3, 28, 28), 200.0), np.zeros((3, 1)), "between 0 and 1"),
+        (np.full((3, 28, 28), np.nan), np.zeros((3, 1)), "between 0 and 1"),
+        (np.zeros((3, 28, 28)), [[0.0], [np.nan], [1.0]], "finite"),
+    ],
+)
+def test_unusable_data_are_named(images, conditions, message):
+    with pytest.raises(ValueError, match=message):
+        train(images, conditions, config(), progress=False)
+
+
+def test_device_is_found_or_taken():
+    assert choose_device("cpu").type == "cpu"
+    found = "cuda" if torch.cuda.is_available() else "mps" if torch.backends.mps.is_available() else "cpu"
+    assert choose_device().type == found

@@ -1,0 +1,111 @@
+"""The network: shapes, size, cost, context vector and the withheld descriptor."""
+
+import subprocess
+import sys
+
+import pytest
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from inflate_lib.diffusion import UNet
+from inflate_lib.diffusion.unet import sinusoidal_embedding
+
+
+def shaken(**options):
+    """A small network whose last layers no longer start at zero."""
+    net = UNet(**{"n_conditions": 2, "channels": (8, 16), "embedding": 16, "hidden": 8} | options)
+    g = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for p in net.parameters():
+            p += 0.1 * torch.randn(p.shape, generator=g)
+    return net
+
+
+def inputs(n=3, size=28, n_conditions=2):
+    g = torch.Generator().manual_seed(1)
+    x = torch.randn(n, 1, size, size, generator=g)
+    return x, torch.randint(1000, (n,), generator=g), torch.rand(n, n_conditions, generator=g)
+
+
+@pytest.mark.parametrize("options", [{}, {"attention": True}, {"channels": (6, 9, 10)}, {"channels": (8,)}])
+def test_answers_have_the_shape_of_the_images(options):
+    net = shaken(**options)
+    answer = net(*inputs())
+    assert answer.shape == (3, 1, 28, 28) and bool(torch.isfinite(answer).all())
+    answer.square().mean().backward()  # every weight takes part, the null vector where a descriptor is withheld
+    assert all(p.grad is not None for name, p in net.named_parameters() if name != "null")
+
+
+def test_number_of_parameters():
+    assert UNet(1).n_parameters == 7_454_873  # the paper's widths
+    assert UNet(60).n_parameters - UNet(1).n_parameters == 59 * 200  # only the first layer of the descriptor network
+
+
+def test_leaner_than_diffusers_at_the_same_widths():
+    diffusers = pytest.importorskip("diffusers")
+    theirs = diffusers.UNet2DModel(
+        sample_size=28,
+        in_channels=1,
+        out_channels=1,
+        layers_per_block=1,
+        block_out_channels=(64, 128, 256),
+        down_block_types=("DownBlock2D",) * 3,
+        up_block_types=("UpBlock2D",) * 3,
+    )
+    x, t, y = inputs(1, n_conditions=1)
+    flops = []
+    for call in (lambda: UNet(1)(x, t, y), lambda: theirs(x, t)):
+        with FlopCounterMode(display=False) as counter, torch.no_grad():
+            call()
+        flops.append(counter.get_total_flops())
+    assert 1.4 * flops[0] < flops[1]
+
+
+def test_a_withheld_descriptor_is_the_null_vector():
+    net = shaken()
+    x, t, y = inputs()
+    without = net(x, t, None)
+    torch.testing.assert_close(net(x, t, y, torch.ones(3, dtype=torch.bool)), without)
+    some = net(x, t, y, torch.tensor([True, False, True]))
+    torch.testing.assert_close(some[[0, 2]], without[[0, 2]])
+    torch.testing.assert_close(some[1], net(x, t, y)[1])
+    assert (some[1] - without[1]).abs().max() > 1e-3
+    assert bool((net.context(t, None) == sinusoidal_embedding(t, 16) + net.null).all())
+
+
+def test_context_is_the_sum_of_both_embeddings():
+    net = shaken()
+    _, t, y = inputs()
+    torch.testing.assert_close(net.context(t, y), sinusoidal_embedding(t, 16) + net.descriptor(y))
+
+
+def test_sinusoidal_embedding_tells_every_step_apart():
+    codes = sinusoidal_embedding(torch.arange(1000), 256)
+    assert codes.shape == (1000, 256) and bool((codes.abs() <= 1).all())
+    torch.testing.assert_close(codes.square().sum(1), torch.full((1000,), 128.0), rtol=1e-4, atol=0)
+    assert torch.cdist(codes, codes).fill_diagonal_(9).min() > 0.1
+
+
+def test_attention_changes_the_answer_only_after_training():
+    torch.manual_seed(0)
+    net = UNet(2, (8, 16), 16, 8, attention=True)
+    h = torch.randn(2, 16, 7, 7)
+    torch.testing.assert_close(net.attention(h), h)
+    torch.nn.init.normal_(net.attention.out.weight)
+    assert (net.attention(h) - h).abs().max() > 0.1
+
+
+def test_rows_do_not_see_each_other():
+    net = shaken()
+    x, t, y = inputs()
+    torch.testing.assert_close(net(x, t, y)[1:2], net(x[1:2], t[1:2], y[1:2]), rtol=1e-4, atol=1e-5)
+
+
+def test_the_package_needs_torch_numpy_and_safetensors_only():
+    code = (
+        "import sys, inflate_lib.diffusion; "
+        "print(*sorted({n.split('.')[0] for n in sys.modules} & "
+        "{'numba', 'xarray', 'sklearn', 'scipy', 'pandas', 'matplotlib', 'skimage', 'pydantic', 'diffusers'}))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == ""

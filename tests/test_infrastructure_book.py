@@ -1,0 +1,63 @@
+"""The executed ci book, after `make book`: `pytest -m book`."""
+
+import json
+import re
+
+import pytest
+
+from inflate_lib import paths
+from inflate_lib.reproduce import check_book, find_notebooks
+
+pytestmark = pytest.mark.book
+NAMES = [path.stem for path in sorted(paths.NOTEBOOKS.glob("[0-9][0-9]_*.md"))]
+
+
+def executed(name):
+    return json.loads((paths.EXECUTED / f"{name}.ipynb").read_text(encoding="utf-8"))
+
+
+def test_every_page_is_fresh():
+    check_book("ci")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_notebook_ran_to_its_end_without_errors_or_warnings(name):
+    cells = [cell for cell in executed(name)["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["execution_count"] for cell in cells if "".join(cell["source"]).strip())
+    outputs = [output for cell in cells for output in cell["outputs"]]
+    assert not [output for output in outputs if output["output_type"] == "error"]
+    assert not ["".join(output["text"]) for output in outputs if output.get("name") == "stderr"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_a_notebook_published_has_its_provenance(name):
+    published = executed(name)["metadata"]["inflate"]["published"]
+    notes = [paths.FIGURES / file for file in published if file.endswith(".json")]
+    for note in map(json.loads, (path.read_text(encoding="utf-8") for path in notes)):
+        assert note["notebook"] == name
+        assert note["profile"] == "ci"
+        assert note["data_source"] in {"mnist", "digits"}
+        assert all((paths.FIGURES / "ci" / file).stat().st_size for file in note["files"])
+
+
+def test_no_two_notebooks_publish_under_one_name():
+    owner = {}
+    for name in NAMES:
+        for file in executed(name)["metadata"]["inflate"]["published"]:
+            assert owner.setdefault(file, name) == name, f"{file} comes from {owner[file]} and {name}"
+
+
+def test_pages_ask_no_other_server_for_anything():
+    pages = sorted((paths.BOOK / "_build" / "html").rglob("*.html"))
+    assert len(pages) > len(find_notebooks())
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        loads = re.findall(r"<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=\"((?:https?:)?//[^\"]+)", text)
+        assert not loads, f"{page.name} loads {loads[0]}"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_injected_parameters_do_not_show(name):
+    text = (paths.BOOK / "_build" / "html" / "notebooks" / f"{name}.html").read_text(encoding="utf-8")
+    assert "tag_parameters" in text
+    assert "tag_injected-parameters" not in text
