@@ -93,7 +93,7 @@ def run() -> None:
     """Entry point: an error that the library foresaw is one clear message and exit code 1, not a traceback."""
     try:
         app()
-    except (ValueError, RuntimeError, OSError) as error:
+    except (ValueError, RuntimeError, OSError, FloatingPointError) as error:
         if os.environ.get("INFLATE_DEBUG"):
             raise
         sys.exit(f"inflate: {error}")

@@ -116,7 +116,7 @@ def plot_vlb_weights(weights: Mapping[str, np.ndarray], capped: float):
 def plot_losses(histories: Mapping[str, Mapping[str, list]]):
     """Simple loss and variational term during training, for several models."""
     fig, axes = figure(1, 2, height=6.0)
-    panels = (("simple", r"$L_{simple}$"), ("vlb", r"$L_{vlb}$ (nats per pixel, without constants)"))
+    panels = (("simple", r"$L_{simple}$"), ("vlb", r"$L_{vlb}$ (nats per pixel)"))
     for i, (name, history) in enumerate(histories.items()):
         for ax, (key, _) in zip(axes, panels, strict=True):
             ax.semilogy(history["step"], history[key], linestyle=FIVE_STYLES[i % 5], label=name)

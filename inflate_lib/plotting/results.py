@@ -7,7 +7,7 @@ from matplotlib.patches import Rectangle
 from inflate_lib.descriptors import describe, descriptor_matrix
 from inflate_lib.inflation import inflate
 from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label
-from inflate_lib.plotting.style import COLOURS, HATCHES, LEVELS, LINE_STYLES, TEXT_WIDTH, figure, picture_axes
+from inflate_lib.plotting.style import COLOURS, LEVELS, TEXT_WIDTH, figure, picture_axes
 
 MARKERS = ("o", "^", "s")
 SYMBOLS = {"height": "$h$", "width": "$w$", "box": "$(h, w)$", "area": "$A$"}
@@ -31,8 +31,8 @@ def plot_generated(experiment, descriptor, n_show=5):
     level = experiment["level"].values
     levels = np.unique(level)
     fig, axes = figure(
-        2 * len(levels), n_show + 1, width=TEXT_WIDTH, height=6.2 * len(levels),
-        width_ratios=[1] * n_show + [2.1], height_ratios=[0.75, 1] * len(levels),
+        2 * len(levels), n_show + 1, width=TEXT_WIDTH, height=5.6 * len(levels),
+        width_ratios=[1] * n_show + [1.7], height_ratios=[0.9, 1] * len(levels),
     )  # fmt: skip
     extent = _extent(experiment)
     if descriptor in ("width", "box"):
@@ -53,8 +53,10 @@ def plot_generated(experiment, descriptor, n_show=5):
             middle = (deformed[:, 0].min() + deformed[:, 0].max()) / 2
             below.set(xlim=(middle - extent[0] / 2, middle + extent[0] / 2), ylim=(-0.08, extent[1]))
         wanted = ", ".join(f"{value:.3f}" for value in target)
-        title = axes[2 * k, 0].set_title(f"({'abc'[k]}) target {SYMBOLS[descriptor]} = {wanted}", loc="left")
-        title.set_in_layout(False)  # it is wider than its column
+        first = axes[2 * k, 0]
+        first.set_title(" ")  # makes room for the line below, which is wider than its column
+        line = f"({'abc'[k]}) target {SYMBOLS[descriptor]} = {wanted}"
+        first.text(0, 1.06, line, transform=first.transAxes, fontsize="medium").set_in_layout(False)
     grid = axes[0, -1].get_gridspec()
     for ax in axes[:, -1]:
         ax.remove()
@@ -77,7 +79,7 @@ def plot_generated_axes(experiment, n_show=3):
     """
     level = experiment["level"].values
     levels = np.unique(level)
-    fig, axes = figure(len(levels), 2 * n_show, width=TEXT_WIDTH, height=4.6 * len(levels), squeeze=False)
+    fig, axes = figure(len(levels), 2 * n_show, width=TEXT_WIDTH, height=3.6 * len(levels), squeeze=False)
     extent = _extent(experiment)
     for k in levels:
         target = experiment["target"].values[level == k][0].reshape(-1, 2)
@@ -121,7 +123,7 @@ def plot_axis_density(experiment):
     everything = np.concatenate([achieved[valid].reshape(-1, 2), experiment["target"].values.reshape(-1, 2)])
     low, high = everything.min(axis=0), everything.max(axis=0)
     half = 1.1 * np.abs([low[0], high[0]]).max()
-    fig, axes = figure(1, len(levels), height=8.0, sharey=True, squeeze=False)
+    fig, axes = figure(1, len(levels), width=13.0, height=8.5, sharey=True, squeeze=False)
     for k, ax in zip(levels, axes[0], strict=True):
         points = achieved[valid & (level == k)][:, 1:].reshape(-1, 2)  # the first point is the origin by definition
         if len(points):
@@ -132,7 +134,7 @@ def plot_axis_density(experiment):
         ax.set(xlabel="$x$", xlim=(-half, half), ylim=(-0.05, 1.05 * high[1]), title=f"axis {k + 1}")
         ax.set_aspect("equal")
     axes[0, 0].set_ylabel("$y$")
-    axes[0, -1].legend(loc="lower right")
+    axes[0, 0].legend(loc="upper left")
     return fig
 
 
@@ -212,12 +214,15 @@ def _plot_achieved(ax, experiment, descriptor):
             ax.plot(w, h, "+", color=COLOURS.ink, markersize=9)
         ax.set(xlabel="achieved $w$", ylabel="achieved $h$", title="(d) all valid structures; large: target")
         return
-    edges = np.histogram_bin_edges(achieved[valid], 24) if valid.any() else 10
     for k in np.unique(level):
-        ax.hist(achieved[valid & (level == k), 0], edges, orientation="horizontal", color=LEVELS[k], alpha=0.55,
-                hatch=HATCHES[k], edgecolor="white", linewidth=0)  # fmt: skip
-        value = target[level == k][0, 0]
-        ax.axhline(value, color=LEVELS[k], linewidth=2.2)
-        ax.axhline(value, color=COLOURS.ink, linestyle=LINE_STYLES[k], linewidth=1.0, label=f"target {value:.3f}")
-    ax.legend(loc="upper right")
-    ax.set(xlabel="structures", ylabel=f"achieved {SYMBOLS[descriptor]}", title="(d) all valid structures")
+        reached = achieved[valid & (level == k), 0]
+        if len(reached) > 1:
+            body = ax.violinplot(reached, [k], widths=0.85, showextrema=False)["bodies"][0]
+            body.set(facecolor=LEVELS[k], alpha=0.35)
+        sideways = np.random.default_rng(0).uniform(-0.14, 0.14, len(reached))
+        ax.plot(k + sideways, reached, MARKERS[k], color=LEVELS[k], markersize=2.8, markeredgecolor=COLOURS.ink,
+                markeredgewidth=0.25)  # fmt: skip
+        ax.plot([k - 0.45, k + 0.45], [target[level == k][0, 0]] * 2, color=COLOURS.target, linestyle="--", zorder=4)
+    ax.set_xticks(np.unique(level), [f"{target[level == k][0, 0]:.3f}" for k in np.unique(level)])
+    symbol = SYMBOLS[descriptor]
+    ax.set(xlabel=f"target {symbol}", ylabel=f"achieved {symbol}", title="(d) all valid structures")
