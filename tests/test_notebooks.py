@@ -29,7 +29,7 @@ GOLDEN = {
     "09_targets": {"mean_deviation_percent": (12.340800216465054, 1e-6)},
     "10_scalar_targets": {"chance_error_height": (7.425955223956328, 1e-6)},
     "11_medial_axes": {"axis_chance_px": (1.0951075609126195, 1e-6)},
-    "12_comparison": {"n_numbers": (23, 0), "table1_largest_deviation": (24.710708588565765, 1e-6)},
+    "12_comparison": {"n_numbers": (39, 0), "table1_largest_deviation": (24.710708588565765, 1e-6)},
 }
 
 

@@ -65,6 +65,16 @@ class TrainingConfig:
         if not isinstance(self.attention, bool):
             raise ValueError(f"attention must be true or false, not {self.attention!r}")
 
+    def training_steps(self, n: int) -> int:
+        """Training steps in all, on n pairs."""
+        return self.steps if self.steps is not None else self.epochs * math.ceil(n / self.batch_size)
+
+    def checkpoint_steps(self, n: int) -> int:
+        """Training steps between two checkpoints, on n pairs."""
+        if self.steps is not None:
+            return self.checkpoint_every or math.ceil(self.steps / 20)
+        return (self.checkpoint_every or 10) * math.ceil(n / self.batch_size)
+
     def as_dict(self) -> dict:
         """Plain values, ready for JSON."""
         return asdict(self) | {"channels": list(self.channels)}

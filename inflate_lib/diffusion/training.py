@@ -90,11 +90,8 @@ class _Run:
         self.device = choose_device(config.device)
         self.low, self.high = conditions.min(0), conditions.max(0)
         self.per_epoch = math.ceil(len(images) / config.batch_size)
-        self.total = config.steps if config.steps is not None else config.epochs * self.per_epoch
-        if config.steps is not None:
-            self.checkpoint_every = config.checkpoint_every or math.ceil(config.steps / 20)
-        else:
-            self.checkpoint_every = (config.checkpoint_every or 10) * self.per_epoch
+        self.total = config.training_steps(len(images))
+        self.checkpoint_every = config.checkpoint_steps(len(images))
         self.net = config.make_net(conditions.shape[1]).to(self.device)
         self.ema = [p.detach().clone() for p in self.net.parameters()]
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=config.learning_rate)

@@ -154,7 +154,8 @@ def plot_agreement(experiments):
         ax.plot((target + jitter)[valid], achieved[valid], "o", markersize=2, alpha=0.5)
         for value in np.unique(target):
             ax.plot(value, achieved[valid & (target == value)].mean(), "x", color=COLOURS.ink, markersize=7)
-        span = np.array([np.nanmin([target, achieved]), np.nanmax([target, achieved])])
+        shown = np.concatenate([target, achieved[valid]])
+        span = np.array([shown.min(), shown.max()])
         ax.plot(span, span, "--", color=COLOURS.target, linewidth=1)
         ax.set(xlabel=f"target {SYMBOLS[name]}", ylabel=f"achieved {SYMBOLS[name]}")
     return fig

@@ -223,7 +223,8 @@ def plot_chosen_axes(axes, chosen):
     fig, (cloud, plane) = figure(1, 2, width=14, height=7.5, width_ratios=[1, 1.6])
     for axis in axes[:: max(1, len(axes) // 400)]:
         cloud.plot(*axis.T, color=COLOURS.ghost, linewidth=0.4, alpha=0.3)
-    height = axes[:, -1, 1]
+    points = axes.shape[1]
+    height = axes[:, -1, 1] * points / (points - 1)  # an axis ends one increment below the top
     lean = axes[:, :, 0].mean(axis=1) / height
     plane.plot(lean, height, ".", color=COLOURS.ghost, markersize=1.5, rasterized=True)
     for number, row in enumerate(chosen):
@@ -232,7 +233,7 @@ def plot_chosen_axes(axes, chosen):
         plane.plot(lean[row], height[row], linestyle="none", markersize=8, label=f"axis {number + 1}", **style)
     cloud.set_aspect("equal")
     cloud.set(xlabel="$x$", ylabel="$y$", xlim=(-0.3, 0.3))
-    plane.set(xlabel="mean of $x$, in units of the height", ylabel="$y$ of the last point", xlim=_middle(lean))
+    plane.set(xlabel="mean of $x$, in units of the height", ylabel="height $h$", xlim=_middle(lean))
     plane.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3)
     return fig
 
