@@ -152,7 +152,7 @@ def plot_agreement(experiments):
         valid = experiment["valid"].values
         jitter = np.random.default_rng(0).normal(0, 0.004, len(target))
         ax.plot((target + jitter)[valid], achieved[valid], "o", markersize=2, alpha=0.5)
-        for value in np.unique(target):
+        for value in np.unique(target[valid]):
             ax.plot(value, achieved[valid & (target == value)].mean(), "x", color=COLOURS.ink, markersize=7)
         shown = np.concatenate([target, achieved[valid]])
         span = np.array([shown.min(), shown.max()])
