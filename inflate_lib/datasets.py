@@ -6,6 +6,7 @@ Nothing is dropped: an image that gives no structure, or a structure without an 
 
 import os
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -60,13 +61,12 @@ def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=N
     Raises
     ------
     ValueError
-        Where `images` is no sequence of images at all, `n_jobs` is zero, or `n_steps` is below one.
+        Where `images` is no sequence of images at all, or `n_jobs` or `n_steps` is out of range.
     """
     images = _as_sequence(images)
-    if not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
+    if isinstance(n_jobs, bool) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
         raise ValueError(f"n_jobs must be 1, 2, … processes or -1 for one per core, not {n_jobs!r}")
-    if not isinstance(n_steps, int | np.integer) or n_steps < 1:
-        raise ValueError(f"n_steps must be a whole number of at least 1, not {n_steps!r}")
+    inflation.check_steps(n_steps)
     starts = range(0, len(images), CHUNK)
     parts = (images[start : start + CHUNK] for start in starts)
     if folder is None:
@@ -141,9 +141,10 @@ def load_dataset(path):
 
 def _as_sequence(images):
     """`images` as something that can be cut into parts; the single images are not judged here."""
-    if isinstance(images, np.ndarray) and images.ndim == 2:
+    if getattr(images, "ndim", 3) in (0, 2):  # an array, a tensor, a data frame
         raise ValueError("images: a stack (n, 28, 28) is needed; put a single image in a list")
-    if isinstance(images, str | bytes) or not hasattr(images, "__len__") or not hasattr(images, "__getitem__"):
+    no_sequence = isinstance(images, str | bytes | Mapping)
+    if no_sequence or not hasattr(images, "__len__") or not hasattr(images, "__getitem__"):
         raise ValueError(f"images: a sequence of images is needed, not {type(images).__name__}")
     if len(images) == 0:
         raise ValueError("images: the sequence is empty")
@@ -190,7 +191,7 @@ def _simulate_once(images, n_steps, folder, start):
     """As `_simulate`, but read from `folder` where an earlier run finished it for the same images."""
     try:
         key = digest(np.asarray(images))[:12]
-    except ValueError:  # ragged or not numeric: nothing to recognise it by
+    except (TypeError, ValueError, RuntimeError):  # ragged or not numeric: nothing to recognise it by
         return _simulate(images, n_steps)
     path = folder / f"{start:06d}-{n_steps}-{key}.npz"
     try:

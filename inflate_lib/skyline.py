@@ -5,8 +5,8 @@ j) is ``values[offset[i] + j]``. The fill-in of the factorisation stays inside t
 reverse Cuthill–McKee ordering. The two rows of a node begin at the same column, so that the inner products are
 taken in blocks of 2 × 2, which halves the memory traffic of the innermost loop.
 
-numba keeps compiled code per file: what inflation.py compiled from here is not compiled again when this file changes, so
-touch inflation.py after a change.
+numba keeps compiled code per file: what inflation.py compiled from here is not compiled again when this file changes,
+so touch inflation.py after a change.
 """
 
 import numpy as np
