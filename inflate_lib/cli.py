@@ -66,12 +66,12 @@ def train(
     """Train the models of the training notebook under a profile, or find them trained."""
     from inflate_lib import paths
     from inflate_lib.datasets import simulated_sevens
-    from inflate_lib.descriptors import DESCRIPTORS
+    from inflate_lib.descriptors import DESCRIPTORS, check_name
     from inflate_lib.experiments import trained_models
     from inflate_lib.profiles import load_profile
 
+    names = list(DESCRIPTORS) if descriptor == "all" else [check_name(descriptor)]
     given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
-    names = list(DESCRIPTORS) if descriptor == "all" else [descriptor]
     data = simulated_sevens(given["source"], given["n_structures"] or None)
     models = trained_models(names, given["training"], data, given["n_augmented"], given["seed"])
     print(f"trained: {', '.join(models)}; the files are in {paths.CACHE / 'model'}")

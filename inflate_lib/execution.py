@@ -210,7 +210,7 @@ def _without_progress(output: nbformat.NotebookNode) -> bool:
         return True
     lines = re.split(r"(?<=[\r\n])", output.text)
     output.text = "".join(line for line in lines if not line.startswith(MARK))
-    return bool(output.text)
+    return bool(output.text.strip())
 
 
 def _strip_colour(text: str) -> str:

@@ -60,7 +60,9 @@ class Job:
     def stale(self) -> str:
         """Why the notebook has to run; empty while its executed version is fresh."""
         try:
-            stamp = json.loads(self.executed.read_text(encoding="utf-8"))["metadata"]["inflate"]
+            notebook = json.loads(self.executed.read_text(encoding="utf-8"))
+            stamp = notebook["metadata"]["inflate"]
+            edited = stamp["cells"] != _content(notebook)
         except FileNotFoundError:
             return "not executed yet"
         except (OSError, ValueError, KeyError, TypeError):
@@ -70,6 +72,8 @@ class Job:
             return f"executed under profile {before.get('profile')}"
         if changed := [part for part in now if before.get(part) != now[part]]:
             return f"changed since: {', '.join(changed)}"
+        if edited:
+            return "edited after it was executed"
         gone = [file for file in stamp["published"] if not (paths.FIGURES / file).is_file()]
         return f"missing: figures/{gone[0]}" if gone else ""
 
@@ -240,13 +244,19 @@ def _timed(job: Job, kernels: Kernels, display: Listener) -> tuple[str, float]:
 def _stamp(job: Job, notebook: nbformat.NotebookNode, manifest: Path) -> None:
     """Write into the executed notebook what it was made from; remove figures that an older version published."""
     published = sorted(set(manifest.read_text(encoding="utf-8").split("\n")) - {""})
-    notebook.metadata["inflate"] = {"fingerprint": job.fingerprint, "published": published}
+    cells = _content(json.loads(nbformat.writes(notebook)))
+    notebook.metadata["inflate"] = {"fingerprint": job.fingerprint, "published": published, "cells": cells}
     folder = paths.FIGURES / job.fingerprint["profile"]
     for note in folder.glob("*.json"):
         origin = json.loads(note.read_text(encoding="utf-8"))
         if origin.get("notebook") == job.name and f"{folder.name}/{note.name}" not in published:
             for file in [*origin.get("files", []), note.name]:
                 (folder / file).unlink(missing_ok=True)
+
+
+def _content(notebook: dict[str, Any]) -> str:
+    """What would show that somebody edited an executed notebook: the digest of its cells, as they are in the file."""
+    return digest(json.dumps(notebook["cells"], sort_keys=True))
 
 
 @contextmanager

@@ -8,6 +8,7 @@ used. Where MNIST cannot be had, ``source="auto"`` falls back to the 179 sevens 
 import gzip
 import hashlib
 import os
+import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -143,10 +144,9 @@ def _read(path, name):
 def _download(name):
     """Fetch one file through pooch, which verifies the decompressed bytes before and after they are in the cache."""
     global _network_failure
-    import pooch
-
     if _network_failure:
         raise ConnectionError(_network_failure)
+    pooch = _pooch()
     pooch.get_logger().setLevel("WARNING")
     folder, failures = paths.CACHE / "mnist", []
     for mirror in MIRRORS:
@@ -167,14 +167,21 @@ def _download(name):
 
 
 def _download_and_unzip(url, output_file, pooch_instance):
-    import pooch
-
+    pooch = _pooch()
     zipped = Path(f"{output_file}.gz")
     try:
         pooch.HTTPDownloader(timeout=TIMEOUT)(url, str(zipped), pooch_instance)
         Path(output_file).write_bytes(gzip.decompress(zipped.read_bytes()))
     finally:
         zipped.unlink(missing_ok=True)
+
+
+def _pooch():
+    """The module, imported without a word from tqdm, which pooch would use and which misses widgets in a notebook."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import pooch
+    return pooch
 
 
 def _embedded_sevens():

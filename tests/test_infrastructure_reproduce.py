@@ -179,6 +179,11 @@ def test_a_book_is_refused_for_every_kind_of_staleness(done, monkeypatch):
     assert stale()[1] == "changed since: notebook, parameters"
     monkeypatch.setattr(reproduce, "code_version", lambda *modules: "other")
     assert stale()[1] == "changed since: notebook, parameters, library"
+    (executed / "01_first.ipynb").write_text((executed / "01_first.ipynb").read_text().replace("kept", "edited"))
+    assert stale()[0].startswith("changed since: library")
+    monkeypatch.undo()
+    point_to(done, monkeypatch)
+    assert stale()[0] == "edited after it was executed"
     (executed / "02_second.ipynb").write_text("{")
     assert stale()[1] == "not a notebook that this command made"
     (executed / "02_second.ipynb").unlink()
@@ -273,6 +278,25 @@ def test_a_cache_without_room_for_the_run_is_named(home):
     (home / "data" / "cache").write_text("a file where the folder should be")
     with pytest.raises(CacheError, match="set INFLATE_CACHE"):
         run()
+
+
+def test_a_model_of_nothing_is_refused_before_anything_is_simulated(monkeypatch):
+    monkeypatch.setattr("inflate_lib.datasets.simulated_sevens", lambda *_: pytest.fail("it simulated"))
+    monkeypatch.setattr(sys, "argv", ["inflate", "train", "--descriptor", "nonsense"])
+    with pytest.raises(SystemExit, match="unknown descriptor 'nonsense'"):
+        cli.run()
+
+
+def test_a_notebook_without_mnist_says_so_and_warns_of_nothing(home, monkeypatch):
+    """Anything on standard error would be a warning of the book, and the end of it."""
+    monkeypatch.delenv("INFLATE_MNIST_DIR", raising=False)
+    unreachable = "sources.MIRRORS = ('http://127.0.0.1:9/',)"
+    add(home, "01_first", f"from inflate_lib import sources\n{unreachable}\nsources.resolve_source()")
+    run()
+    executed = nbformat.read(home / "book" / "notebooks" / "01_first.ipynb", 4)
+    streams = {output.name: output.text for output in executed.cells[-1].outputs if output.output_type == "stream"}
+    assert list(streams) == ["stdout"]
+    assert "embedded scikit-learn digits" in streams["stdout"]
 
 
 def test_two_runs_do_not_share_a_checkout(home):
