@@ -23,10 +23,10 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from inflate_lib import skyline
+from inflate_lib import material, skyline
+from inflate_lib.material import LAMBDA, MU
 from inflate_lib.mesh import Mesh, build_mesh
 
-LAMBDA, MU = 16.44, 0.1644  # Lamé parameters (paper sec. 3)
 PRESSURE = 0.01  # internal pressure at t = 1: p(t) = PRESSURE · t
 ELEMENTS = ("mean-dilatation", "q1")
 
@@ -102,16 +102,12 @@ class Inflation:
 
         With mean dilatation the part φ′(J) cof F takes the element's mean J, as the equilibrium does.
         """
-        lam, mu = self.lame
-        F = self.deformation_gradient
-        cofactor = np.stack(
-            [np.stack([F[..., 1, 1], -F[..., 1, 0]], -1), np.stack([-F[..., 0, 1], F[..., 0, 0]], -1)], -2
-        )
-        J = F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
+        F, J = self.deformation_gradient, None
         if self.element == "mean-dilatation":
+            J = np.linalg.det(F)
             _, weights = shape_gradients(self.nodes[self.cells])
             J = np.broadcast_to(np.average(J, axis=-1, weights=np.broadcast_to(weights, J.shape))[..., None], J.shape)
-        return mu * F + ((lam * np.log(J) - mu) / J)[..., None, None] * cofactor
+        return material.first_piola_kirchhoff(F, self.lame, J)
 
 
 def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU)):
