@@ -215,10 +215,12 @@ class _System:
     offset: np.ndarray
     constant: np.ndarray  # skyline of k
     pressure: np.ndarray  # skyline of H
+    pinned: np.ndarray  # unknowns (2 node + direction) that are held though their node is free in the other direction
 
     @classmethod
     def of(cls, mesh, element, mu):
-        free = np.flatnonzero(~mesh.clamped)
+        held = np.broadcast_to(np.reshape(mesh.clamped, (len(mesh.nodes), -1)), mesh.nodes.shape)  # (n,) or (n, 2)
+        free = np.flatnonzero(~held.all(axis=1))
         number = np.full(len(mesh.nodes), -1)
         number[free] = np.arange(len(free))
         order = free[skyline.bandwidth_order(len(free), number[mesh.cells])]
@@ -244,12 +246,13 @@ class _System:
         return cls(
             order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness, np.ascontiguousarray(dilatation),
             weights, edges, mesh.nodes[mesh.pressure_edges], first, offset, constant, pressure,
+            np.flatnonzero(held[order]),
         )  # fmt: skip
 
     def arrays(self):
         return (
             self.x0, self.cells, self.fixed, self.kind, self.stiffness, self.dilatation, self.weights,
-            self.edges, self.edges_fixed, self.first, self.offset, self.constant, self.pressure,
+            self.edges, self.edges_fixed, self.first, self.offset, self.constant, self.pressure, self.pinned,
         )  # fmt: skip
 
 
@@ -357,6 +360,18 @@ def _tangent(values, constant, pressure, cells, kind, dilatation, weights, J, c,
 
 
 @njit(cache=True, nogil=True)
+def _pin(pinned, values, first, offset, r):
+    """Hold single unknowns: their rows and columns become those of the identity, their residual zero."""
+    for k in pinned:
+        r[k] = 0.0
+        values[offset[k] + first[k] : offset[k] + k] = 0.0
+        values[offset[k] + k] = 1.0
+        for i in range(k + 1, len(r)):
+            if first[i] <= k:
+                values[offset[i] + k] = 0.0
+
+
+@njit(cache=True, nogil=True)
 def _largest_step(J, slope, bend, start):
     """Largest s ≤ start with J + s·slope + s²·bend ≥ MIN_J along all of [0, s], everywhere (J is quadratic in s)."""
     s = start
@@ -377,7 +392,7 @@ def _largest_step(J, slope, bend, start):
 @njit(cache=True, nogil=True)
 def _march(
     x0, cells, fixed, kind, stiffness, dilatation, weights, edges, edges_fixed, first, offset, constant, pressure,
-    lam, mu, pressures,
+    pinned, lam, mu, pressures,
 ):  # fmt: skip
     """Follow the equilibrium through the load steps.
 
@@ -412,6 +427,7 @@ def _march(
                         values, constant, pressure, cells, kind, dilatation, weights, J, c, pi, theta, lam, mu, p,
                         offset,
                     )  # fmt: skip
+                    _pin(pinned, values, first, offset, r)
                     factorisations += 1
                     done = skyline.factorise(values, first, offset, inverse_pivots)
                     if done == n:
