@@ -35,9 +35,7 @@ def test_tube_is_in_equilibrium(exact):
     P = np.array([first_piola_kirchhoff(np.diag([r(x, 1), r(x) / x])) for x in R])
     radial, hoop = P[:, 0, 0], P[:, 1, 1]
     slope = CubicSpline(R, radial)(R, 1)
-    assert (
-        np.abs(slope + (radial - hoop) / R)[5:-5].max() < 1e-4 * np.abs(hoop).max()
-    )
+    assert np.abs(slope + (radial - hoop) / R)[5:-5].max() < 1e-4 * np.abs(hoop).max()
     assert np.isclose(radial[0], -PRESSURE * exact(0.5) / 0.5, rtol=1e-5)
     assert abs(radial[-1]) < 1e-6
     assert exact(0.5) > 1.45 * 0.5
