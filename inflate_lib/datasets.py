@@ -15,7 +15,7 @@ import xarray as xr
 from joblib import Parallel, delayed
 
 import inflate_lib
-from inflate_lib import descriptors, inflation, mesh, progress, skyline, sources, structures
+from inflate_lib import contact, descriptors, inflation, material, mesh, progress, skyline, sources, structures
 from inflate_lib.cache import cached, code_version, digest
 from inflate_lib.descriptors import AXIS_POINTS
 
@@ -32,6 +32,8 @@ _UNITS = {
     "converged": ("every load step reached equilibrium", "1"),
     "reason": ("why not converged; empty where converged", ""),
     "factorisations": ("factorisations of the tangent", "1"),
+    "self_contact": ("pairs of boundary edges that cross at the last load step: walls overlap where positive", "1"),
+    "contact_step": ("first load step, from 1, at which boundary edges cross; 0 where they never do", "1"),
 }
 
 
@@ -55,7 +57,8 @@ def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=N
     -------
     xarray.Dataset
         One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged),
-        height, width, hull_area, medial_axis (structure, point, axis), factorisations. Descriptors are in lengths and
+        height, width, hull_area, medial_axis (structure, point, axis), factorisations, self_contact, contact_step
+        (see :mod:`inflate_lib.contact`). Descriptors are in lengths and
         areas of the unit square, NaN where not converged.
 
     Raises
@@ -106,7 +109,7 @@ def simulated_sevens(source="auto", n_structures=None, n_jobs=-1):
 def simulated_sevens_file(source="auto", n_structures=None, n_jobs=-1):
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
     sevens = sources.load_sevens(source, limit=n_structures)
-    code = code_version(structures, mesh, skyline, inflation, descriptors, __name__)
+    code = code_version(structures, mesh, skyline, material, inflation, descriptors, contact, __name__)
 
     def make(target, scratch):
         data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch)
@@ -164,6 +167,8 @@ def _simulate(images, n_steps):
         "hull_area": np.full(n, np.nan),
         "medial_axis": np.full((n, AXIS_POINTS, 2), np.nan),
         "factorisations": np.zeros(n, dtype=np.int32),
+        "self_contact": np.zeros(n, dtype=np.int32),
+        "contact_step": np.zeros(n, dtype=np.int32),
     }
     whole_numbers = getattr(images, "dtype", None) == np.uint8
     if not whole_numbers:
@@ -183,6 +188,9 @@ def _simulate(images, n_steps):
             shape = descriptors.describe(result)
             rows["height"][i], rows["width"][i], rows["hull_area"][i] = shape.height, shape.width, shape.hull_area
             rows["medial_axis"][i] = shape.medial_axis
+            rows["self_contact"][i] = contact.self_contact(result)
+            first = contact.first_contact(result)
+            rows["contact_step"][i] = 0 if first is None else first + 1
     rows["reason"] = np.array(rows["reason"])
     return rows
 

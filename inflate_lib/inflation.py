@@ -23,10 +23,10 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from inflate_lib import skyline
+from inflate_lib import material, skyline
+from inflate_lib.material import LAMBDA, MU
 from inflate_lib.mesh import Mesh, build_mesh
 
-LAMBDA, MU = 16.44, 0.1644  # Lamé parameters (paper sec. 3)
 PRESSURE = 0.01  # internal pressure at t = 1: p(t) = PRESSURE · t
 ELEMENTS = ("mean-dilatation", "q1")
 
@@ -102,16 +102,12 @@ class Inflation:
 
         With mean dilatation the part φ′(J) cof F takes the element's mean J, as the equilibrium does.
         """
-        lam, mu = self.lame
-        F = self.deformation_gradient
-        cofactor = np.stack(
-            [np.stack([F[..., 1, 1], -F[..., 1, 0]], -1), np.stack([-F[..., 0, 1], F[..., 0, 0]], -1)], -2
-        )
-        J = F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
+        F, J = self.deformation_gradient, None
         if self.element == "mean-dilatation":
+            J = np.linalg.det(F)
             _, weights = shape_gradients(self.nodes[self.cells])
             J = np.broadcast_to(np.average(J, axis=-1, weights=np.broadcast_to(weights, J.shape))[..., None], J.shape)
-        return mu * F + ((lam * np.log(J) - mu) / J)[..., None, None] * cofactor
+        return material.first_piola_kirchhoff(F, self.lame, J)
 
 
 def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU)):
@@ -224,10 +220,12 @@ class _System:
     offset: np.ndarray
     constant: np.ndarray  # skyline of k
     pressure: np.ndarray  # skyline of H
+    pinned: np.ndarray  # unknowns (2 node + direction) that are held though their node is free in the other direction
 
     @classmethod
     def of(cls, mesh, element, mu):
-        free = np.flatnonzero(~mesh.clamped)
+        held = np.broadcast_to(np.reshape(mesh.clamped, (len(mesh.nodes), -1)), mesh.nodes.shape)  # (n,) or (n, 2)
+        free = np.flatnonzero(~held.all(axis=1))
         number = np.full(len(mesh.nodes), -1)
         number[free] = np.arange(len(free))
         order = free[skyline.bandwidth_order(len(free), number[mesh.cells])]
@@ -253,12 +251,13 @@ class _System:
         return cls(
             order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness, np.ascontiguousarray(dilatation),
             weights, edges, mesh.nodes[mesh.pressure_edges], first, offset, constant, pressure,
+            np.flatnonzero(held[order]),
         )  # fmt: skip
 
     def arrays(self):
         return (
             self.x0, self.cells, self.fixed, self.kind, self.stiffness, self.dilatation, self.weights,
-            self.edges, self.edges_fixed, self.first, self.offset, self.constant, self.pressure,
+            self.edges, self.edges_fixed, self.first, self.offset, self.constant, self.pressure, self.pinned,
         )  # fmt: skip
 
 
@@ -366,6 +365,18 @@ def _tangent(values, constant, pressure, cells, kind, dilatation, weights, J, c,
 
 
 @njit(cache=True, nogil=True)
+def _pin(pinned, values, first, offset, r):
+    """Hold single unknowns: their rows and columns become those of the identity, their residual zero."""
+    for k in pinned:
+        r[k] = 0.0
+        values[offset[k] + first[k] : offset[k] + k] = 0.0
+        values[offset[k] + k] = 1.0
+        for i in range(k + 1, len(r)):
+            if first[i] <= k:
+                values[offset[i] + k] = 0.0
+
+
+@njit(cache=True, nogil=True)
 def _largest_step(J, slope, bend, start):
     """Largest s ≤ start with J + s·slope + s²·bend ≥ MIN_J along all of [0, s], everywhere (J is quadratic in s)."""
     s = start
@@ -386,7 +397,7 @@ def _largest_step(J, slope, bend, start):
 @njit(cache=True, nogil=True)
 def _march(
     x0, cells, fixed, kind, stiffness, dilatation, weights, edges, edges_fixed, first, offset, constant, pressure,
-    lam, mu, pressures,
+    pinned, lam, mu, pressures,
 ):  # fmt: skip
     """Follow the equilibrium through the load steps.
 
@@ -421,6 +432,7 @@ def _march(
                         values, constant, pressure, cells, kind, dilatation, weights, J, c, pi, theta, lam, mu, p,
                         offset,
                     )  # fmt: skip
+                    _pin(pinned, values, first, offset, r)
                     factorisations += 1
                     done = skyline.factorise(values, first, offset, inverse_pivots)
                     if done == n:
