@@ -52,11 +52,12 @@ def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False) -> N
 def dataset(
     source: Annotated[str, typer.Option(help="auto, mnist or digits.")] = "auto",
     structures: Annotated[int | None, typer.Option(help="How many sevens (all by default).")] = None,
+    dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://host:8786.")] = None,
 ) -> None:
     """Inflate the sevens, store the data set, print a summary."""
     from inflate_lib.datasets import simulated_sevens
 
-    print(simulated_sevens(source=source, n_structures=structures))
+    print(simulated_sevens(source=source, n_structures=structures, cluster=dask))
 
 
 @app.command()
