@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from inflate_lib import build_mesh, describe, exodus, inflate, label_image, moose
+from inflate_lib.simulate import Options, simulate_files
 from inflate_lib.sources import load_sevens
 
 LABEL = label_image(load_sevens("digits").images[0])
@@ -183,6 +184,18 @@ def test_run_gives_the_same_kind_of_result(result, stand_in, tmp_path):
     assert found.converged and not found.reason
     assert np.array_equal(found.displacement, 1.01 * result.displacement)
     assert describe(found).height != describe(result).height
+
+
+def test_the_command_takes_the_engine(result, stand_in, tmp_path):
+    np.save(tmp_path / "seven.npy", load_sevens("digits").images[0])
+    write_results(tmp_path / "recorded.e", result.nodes, result.load_steps, 1.01 * result.displacement, "NETCDF4")
+    stand_in(f"shutil.copy({str(tmp_path / 'recorded.e')!r}, 'seven_out.e')")
+    options = Options(n_steps=4, engine="moose", moose=tmp_path / "cases")
+    (record,) = simulate_files([tmp_path / "seven.npy"], options)
+    expected = describe(result.nodes + 1.01 * result.displacement[-1])
+    assert record["converged"] and record["height"] == pytest.approx(expected.height, abs=1e-14)
+    (ours,) = simulate_files([tmp_path / "seven.npy"], Options(n_steps=4))
+    assert ours["height"] == describe(result).height != record["height"]
 
 
 def test_a_run_that_stops_early_says_so(result, stand_in, tmp_path):

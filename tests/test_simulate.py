@@ -72,6 +72,15 @@ def test_a_bad_image_is_one_line_and_the_others_go_on(folder, run):
     assert code == 1 and bad["height"] is None and "bad.png" in bad["reason"] and good["height"] > 0
 
 
+def test_the_command_has_the_defaults_of_the_library(folder, run):
+    parameters = json.loads(run("seven.png", "--json")[1])["parameters"]
+    assert Options(**parameters | {"lame": tuple(parameters["lame"])}) == Options()
+    result = inflate(label_image(DIGITS[0]))
+    assert (tuple(parameters["lame"]), parameters["n_steps"], parameters["element"], parameters["pressure"]) == (
+        result.lame, len(result.load_steps), result.element, result.pressures[-1],
+    )  # fmt: skip
+
+
 def test_every_parameter_reaches_the_solver(folder, run):
     options = ["--lame", "3", "0.3", "--pressure", "0.02", "--wall", "3", "--refine", "2", "--element", "q1"]
     code, out, _ = run("seven.png", "--json", "--steps", "3", *options)
@@ -86,6 +95,8 @@ def test_files_carry_the_name_of_their_structure(folder, run):
     assert code == 0 and json.loads(out)["structures"][0]["files"] == [
         "cases/seven.i", "cases/seven.e", "out/p.png", "out/pv.pvd",
     ]  # fmt: skip
+    with Image.open("out/p.png") as picture:
+        assert min(picture.size) > 200
     assert np.isfinite(meshio.read(folder / "out" / "pv_002.vtu").point_data["displacement"]).all()
     (folder / "again").mkdir()
     Image.fromarray(DIGITS[1]).save("again/seven.png")
