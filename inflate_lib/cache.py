@@ -26,7 +26,8 @@ from filelock import FileLock, Timeout
 
 from inflate_lib import paths
 
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_NO_ROOM |= {errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
 MARK = "\x01"  # begins a line that the runner shows while a notebook runs, and does not keep in it
 RUNNER = "INFLATE_MANIFEST"  # set by the runner, to the file in which it wants to be told what was published
 _verified: set[tuple[str, int, int]] = set()  # files whose digest this process has checked already
@@ -68,11 +69,19 @@ def cached(kind: str, key: Mapping, make: Callable[[Path, Path], None], suffix: 
     result = folder / f"{name}{suffix}"
     if _is_whole(result):
         return result
-    try:
+    with writing():
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder / f".{name}.lock", f"{kind} {name}"):
             if not _is_whole(result):  # another process may have made it while we waited
                 _make(result, text, make, scratch=folder / f".{name}.scratch")
+    return result
+
+
+@contextmanager
+def writing() -> Iterator[None]:
+    """Whatever keeps the cache from being written, a full disk or a read-only folder, as a clear CacheError."""
+    try:
+        yield
     except OSError as error:
         if error.errno in _NO_ROOM and _concerns_cache(error):
             raise CacheError(
@@ -80,7 +89,6 @@ def cached(kind: str, key: Mapping, make: Callable[[Path, Path], None], suffix: 
                 "another folder; finished parts are kept and the next run goes on from them."
             ) from error
         raise
-    return result
 
 
 def digest(*things: Any) -> str:

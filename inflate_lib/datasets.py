@@ -6,6 +6,7 @@ Nothing is dropped: an image that gives no structure, or a structure without an 
 
 import os
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -63,15 +64,14 @@ def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=N
     Raises
     ------
     ValueError
-        Where `images` is no sequence of images at all, `n_jobs` is zero, or `n_steps` is below one.
+        Where `images` is no sequence of images at all, or `n_jobs` or `n_steps` is out of range.
     RuntimeError
         Where the Dask cluster does not answer or fails; a worker that dies is no failure.
     """
     images = _as_sequence(images)
-    if not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
+    if isinstance(n_jobs, bool) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
         raise ValueError(f"n_jobs must be 1, 2, … processes or -1 for one per core, not {n_jobs!r}")
-    if not isinstance(n_steps, int | np.integer) or n_steps < 1:
-        raise ValueError(f"n_steps must be a whole number of at least 1, not {n_steps!r}")
+    inflation.check_steps(n_steps)
     starts = range(0, len(images), CHUNK)
     parts = (images[start : start + CHUNK] for start in starts)
     if folder is None:
@@ -151,9 +151,10 @@ def load_dataset(path):
 
 def _as_sequence(images):
     """`images` as something that can be cut into parts; the single images are not judged here."""
-    if isinstance(images, np.ndarray) and images.ndim == 2:
+    if getattr(images, "ndim", 3) in (0, 2):  # an array, a tensor, a data frame
         raise ValueError("images: a stack (n, 28, 28) is needed; put a single image in a list")
-    if isinstance(images, str | bytes) or not hasattr(images, "__len__") or not hasattr(images, "__getitem__"):
+    no_sequence = isinstance(images, str | bytes | Mapping)
+    if no_sequence or not hasattr(images, "__len__") or not hasattr(images, "__getitem__"):
         raise ValueError(f"images: a sequence of images is needed, not {type(images).__name__}")
     if len(images) == 0:
         raise ValueError("images: the sequence is empty")
@@ -227,7 +228,7 @@ def _part_file(images, n_steps, folder, start):
     """Where the rows of these images are kept; None where they are not."""
     try:
         return folder and folder / f"{start:06d}-{n_steps}-{digest(np.asarray(images))[:12]}.npz"
-    except ValueError:  # ragged or not numeric: nothing to recognise it by
+    except (TypeError, ValueError, RuntimeError):  # ragged or not numeric: nothing to recognise it by
         return None
 
 

@@ -75,15 +75,16 @@ def describe(result, step=-1):
         Where that load step did not converge, or the nodes span no area.
     """
     if hasattr(result, "deformed"):
-        if not -len(result.load_steps) <= step < len(result.load_steps):
-            raise ValueError(f"step must be one of the {len(result.load_steps)} load steps, not {step!r}")
+        n_steps = len(result.load_steps)
+        if not isinstance(step, int | np.integer) or not -n_steps <= step < n_steps:
+            raise ValueError(f"step must be one of the {n_steps} load steps, not {step!r}")
         nodes = result.deformed(step)
         if not np.isfinite(nodes).all():
             raise ValueError(f"the structure has no equilibrium to describe: {result.reason}")
     else:
         try:
             nodes = np.asarray(result, dtype=float)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, RuntimeError) as error:
             raise ValueError(f"nodes: not an array of numbers ({error})") from None
         if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) < 3:
             raise ValueError(f"nodes: coordinates of shape (n, 2) of three nodes or more are needed, not {nodes.shape}")

@@ -23,7 +23,7 @@ with warnings.catch_warnings():  # papermill's optional cloud parts warn on impo
     import papermill
 
 from inflate_lib import paths
-from inflate_lib.cache import MARK, RUNNER
+from inflate_lib.cache import MARK, RUNNER, writing
 from inflate_lib.profiles import declared_parameters
 
 logging.getLogger("papermill").setLevel(logging.CRITICAL)  # what it would say, NotebookFailed says
@@ -116,12 +116,13 @@ def execute(
     """
     name = source.stem
     folder = paths.CACHE / "runs"
-    folder.mkdir(parents=True, exist_ok=True)
     given, running = folder / f"{name}.input.ipynb", folder / f"{name}.running.ipynb"
     manifest = folder / f"{name}.published.txt"
-    manifest.write_text("")
     notebook = jupytext.read(source)
-    nbformat.write(notebook, given)
+    with writing():
+        folder.mkdir(parents=True, exist_ok=True)
+        manifest.write_text("")
+        nbformat.write(notebook, given)
     progress = _Progress(name, listener)
     listener.started(name, sum(cell.cell_type == "code" for cell in notebook.cells))
     try:

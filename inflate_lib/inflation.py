@@ -146,8 +146,7 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
     """
     if element not in ELEMENTS:
         raise ValueError(f"element must be one of {', '.join(ELEMENTS)}, not {element!r}")
-    if isinstance(n_steps, bool) or not isinstance(n_steps, int | np.integer) or not 1 <= n_steps <= 10_000:
-        raise ValueError(f"n_steps must be a whole number from 1 to 10000, not {n_steps!r}")
+    check_steps(n_steps)
     lam, mu = _numbers("lame", lame, 2, "two positive numbers (λ, μ)")
     if lam <= 0 or mu <= 0:
         raise ValueError(f"lame must be two positive numbers (λ, μ), not {lame!r}")
@@ -171,6 +170,12 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
     return Inflation(
         mesh, element, times, pressure * times, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
     )
+
+
+def check_steps(n_steps):
+    """Raise a ValueError where `n_steps` is no number of load steps."""
+    if isinstance(n_steps, bool) or not isinstance(n_steps, int | np.integer) or not 1 <= n_steps <= 10_000:
+        raise ValueError(f"n_steps must be a whole number from 1 to 10000, not {n_steps!r}")
 
 
 def _numbers(name, values, count, wanted):

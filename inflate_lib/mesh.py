@@ -80,7 +80,7 @@ def check_label(label):
     """Return `label` as a float array, or raise a ValueError that says why it cannot be inflated."""
     try:
         label = np.asarray(label, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RuntimeError) as error:  # the last from tensors that NumPy cannot take
         raise ValueError(f"label: not an array of numbers ({error})") from None
     if label.ndim != 2 or label.shape[0] != label.shape[1] or label.size == 0:
         raise ValueError(f"label: a square image is needed, not an array of shape {label.shape}")

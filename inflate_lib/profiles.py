@@ -71,7 +71,7 @@ def load_profile(name: str, folder: Path | None = None) -> Profile:
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
         profile = Profile.model_validate(content)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ProfileError(f"{path} is not valid YAML: {error}") from error
     except ValidationError as error:
         lines = [f"  {'.'.join(map(str, e['loc'])) or 'the file'}: {e['msg']}" for e in error.errors()]
@@ -88,7 +88,9 @@ def check_profile(profile: Profile, notebooks: list[Path]) -> None:
     problems = []
     for name, value in profile.common.items():
         users = [parameters[name] for parameters in declared.values() if name in parameters]
-        if not users:
+        if name == "profile":
+            problems.append("common.profile: the runner sets this one itself")
+        elif not users:
             problems.append(f"common.{name}: no notebook declares this parameter")
         problems += {_mismatch(f"common.{name}", value, default) for default in users} - {None}
     for notebook, section in profile.notebooks.items():

@@ -143,7 +143,7 @@ class Table:
         return not isinstance(self.frame.index, pd.RangeIndex)
 
     def _format(self, value: float) -> str:
-        return "–" if math.isnan(value) else f"{value:.{self.digits}f}"
+        return "–" if math.isnan(value) else f"{value:.{self.digits}f}".replace("-", "−")
 
     def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, str]:
         options = {"index": self.has_index, "float_format": self._format, "na_rep": "–"}

@@ -4,6 +4,9 @@ Row i of the lower triangle is stored from its first non-zero to the diagonal, r
 j) is ``values[offset[i] + j]``. The fill-in of the factorisation stays inside this envelope, which is narrow after a
 reverse Cuthill–McKee ordering. The two rows of a node begin at the same column, so that the inner products are
 taken in blocks of 2 × 2, which halves the memory traffic of the innermost loop.
+
+numba keeps compiled code per file: what inflation.py compiled from here is not compiled again when this file changes,
+so touch inflation.py after a change.
 """
 
 import numpy as np

@@ -56,13 +56,17 @@ def label_image(image, threshold=THRESHOLD, wall=WALL, pad=True):
     Raises
     ------
     ValueError
-        Where the image holds no usable structure, with the reason.
+        Where the image holds no usable structure, with the reason; or an argument is out of range.
     """
     return stages(image, threshold, wall, pad).domains
 
 
 def stages(image, threshold=THRESHOLD, wall=WALL, pad=True):
     """Every intermediate image of :func:`label_image`, as :class:`Stages`; same arguments, same errors."""
+    if isinstance(wall, bool) or not isinstance(wall, int | np.integer) or not 1 <= wall <= FRAME:
+        raise ValueError(f"wall must be a whole number of pixels from 1 to {FRAME}, not {wall!r}")
+    if not isinstance(threshold, int | float | np.number) or not 0 <= threshold < 1:
+        raise ValueError(f"threshold must be a number of at least 0 and less than 1, not {threshold!r}")
     grey = as_grey(image)
     component = main_component(grey, threshold)
     filled = ndimage.binary_fill_holes(component)
@@ -77,7 +81,10 @@ def stages(image, threshold=THRESHOLD, wall=WALL, pad=True):
 
 def as_grey(image):
     """A checked image as float in [0, 1], or a ValueError that says what is wrong with it."""
-    image = np.asarray(image)
+    try:
+        image = np.asarray(image)
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists; tensors that NumPy cannot take
+        raise ValueError(f"image is not an array of numbers ({error})") from None
     if image.shape != (FRAME, FRAME):
         raise ValueError(f"image has shape {image.shape}; a single ({FRAME}, {FRAME}) image is needed")
     if image.dtype == np.uint8:

@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+import torch
 import xarray as xr
 
 from inflate_lib import datasets, describe, inflate, label_image, paths, simulate_dataset, simulated_sevens
@@ -45,6 +46,7 @@ JUNK = [
     ("seven", "shape"),
     (None, "shape"),
     ([[1, 2], [3]], "inhomogeneous"),
+    (torch.zeros(28, 28, requires_grad=True), "not an array"),
     (DIGITS[0], ""),
 ]
 
@@ -113,9 +115,14 @@ def test_number_of_processes_changes_nothing(monkeypatch):
         (7, {}, "sequence of images"),
         (None, {}, "sequence of images"),
         ((image for image in DIGITS), {}, "sequence of images"),
+        ({0: DIGITS[0]}, {}, "sequence of images"),
+        (np.array(7), {}, "stack"),
         (DIGITS[:1], {"n_jobs": 0}, "n_jobs"),
         (DIGITS[:1], {"n_jobs": "all"}, "n_jobs"),
+        (DIGITS[:1], {"n_jobs": True}, "n_jobs"),
         (DIGITS[:1], {"n_steps": 0}, "n_steps"),
+        (DIGITS[:1], {"n_steps": True}, "n_steps"),
+        (DIGITS[:1], {"n_steps": 10**9}, "n_steps"),
         (DIGITS[:1], {"n_steps": 1.5}, "n_steps"),
     ],
 )

@@ -164,7 +164,7 @@ def test_only_equilibria_are_described():
     result = inflate(hook(), pressure=2.0)
     with pytest.raises(ValueError, match=r"no equilibrium.*load step"):
         describe(result)
-    for step in (10, -11):
+    for step in (10, -11, 1.5, "last", None):
         with pytest.raises(ValueError, match="step must be one of the 10"):
             describe(result, step)
 

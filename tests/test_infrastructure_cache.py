@@ -114,11 +114,12 @@ def test_a_cache_that_cannot_be_written_is_named(cache):
         cached("kind", {"a": 1}, writer("x"), ".txt")
 
 
-def test_a_full_disk_is_a_clear_error():
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EFBIG])
+def test_a_full_disk_is_a_clear_error(number):
     def full(target, scratch):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise OSError(number, os.strerror(number))
 
-    with pytest.raises(CacheError, match=r"No space left.*finished parts are kept"):
+    with pytest.raises(CacheError, match=rf"{os.strerror(number)}.*finished parts are kept"):
         cached("kind", {"a": 1}, full, ".txt")
 
 

@@ -60,6 +60,7 @@ def test_parameters_are_defaults_then_common_then_section(notebooks, tmp_path):
         ("notebooks: {01_first: {options: {name: 3}}}", r"options\.name: 3 is int"),
         ("notebooks: {01_first: {options: 3}}", r"options: 3 is int"),
         ("notebooks: {01_first: {profile: x}}", r"the runner sets this one itself"),
+        ("common: {profile: x}", r"common\.profile: the runner sets this one itself"),
     ],
 )
 def test_a_value_that_does_not_fit_is_named(notebooks, tmp_path, text, message):
@@ -85,6 +86,12 @@ def test_all_problems_are_listed_at_once(notebooks, tmp_path):
 def test_a_file_without_the_layout_is_refused(tmp_path, text, message):
     with pytest.raises(ProfileError, match=message):
         profile(tmp_path, text)
+
+
+def test_a_file_that_is_no_text_is_named(tmp_path):
+    (tmp_path / "ci.yml").write_bytes(b"name: ci\n\xff\xfe")
+    with pytest.raises(ProfileError, match=r"ci\.yml is not valid YAML"):
+        load_profile("ci", tmp_path)
 
 
 def test_name_and_file_must_agree_and_exist(tmp_path):

@@ -14,6 +14,7 @@ import pytest
 from rich.console import Console
 
 from inflate_lib import cli, paths, reproduce
+from inflate_lib.cache import CacheError
 from inflate_lib.execution import NotebookFailed
 from inflate_lib.profiles import ProfileError
 from inflate_lib.publishing import recorded
@@ -264,6 +265,14 @@ def test_missing_data_are_found_before_anything_runs(home, monkeypatch):
     with pytest.raises(SystemExit, match=r"nowhere.*train-images-idx3-ubyte"):
         cli.run()
     assert "01_first.ipynb" not in os.listdir(home / "book" / "notebooks")
+
+
+def test_a_cache_without_room_for_the_run_is_named(home):
+    add(home, "01_first", "x = 1")
+    (home / "data").mkdir()
+    (home / "data" / "cache").write_text("a file where the folder should be")
+    with pytest.raises(CacheError, match="set INFLATE_CACHE"):
+        run()
 
 
 def test_two_runs_do_not_share_a_checkout(home):

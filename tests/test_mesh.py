@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mechanics_peers import hook, random_label
@@ -71,6 +72,7 @@ def edited(*changes):
         (None, "square image"),
         ("seven", "not an array of numbers"),
         ([[0, 0.5], [1]], "not an array of numbers"),
+        (torch.tensor(hook(), requires_grad=True), "not an array of numbers"),
         (np.zeros((0, 0)), "square image"),
         (np.zeros((3, 4)), "square image"),
         (np.zeros((2, 3, 3)), "square image"),

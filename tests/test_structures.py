@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
@@ -159,11 +160,24 @@ def square(side, value=1.0):
         (square(9).astype(complex), "complex"),
         (np.full((28, 28), "7"), "type"),
         (None, r"shape \(\)"),
+        ([[1, 2], [3]], "image is not an array"),
+        (torch.zeros(28, 28, requires_grad=True), "image is not an array.*detach"),
+        (torch.zeros(28, 28, dtype=torch.bfloat16), "image is not an array"),
     ],
 )
 def test_unusable_images_are_refused_with_the_reason(image, reason):
     with pytest.raises(ValueError, match=reason):
         label_image(image)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("wall", w) for w in (0, -1, 1.5, "2", None, True, 10**6)]
+    + [("threshold", t) for t in (-0.1, 1, np.nan, "x", None)],
+)
+def test_arguments_out_of_range_are_named(name, value):
+    with pytest.raises(ValueError, match=f"{name} must be .*not {value!r}"):
+        label_image(square(9), **{name: value})
 
 
 def test_largest_square_that_fits():

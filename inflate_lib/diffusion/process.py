@@ -154,8 +154,8 @@ def vlb_weights(schedule: Schedule, objective: str = "epsilon", cap_last: bool =
     Both Gaussians' variances are fixed, so only their means count: c = β² / (2 σ² α (1 − ᾱ)) = β / (2 α (1 − ᾱ)) for
     the noise, times ᾱ for the velocity. The first entry belongs to the decoder with its bins shrunk to a density.
 
-    ``cap_last``: the cosine schedule's last β sits at its cap of 0.999, which makes the last weight hundreds of times
-    all others together (499.5) although that step holds no signal; it is lowered to the weight of the step before.
+    ``cap_last``: the cosine schedule's last β sits at its cap of 0.999, which makes the last weight (499.5) many
+    times all others together although that step holds no signal; it is lowered to the weight of the step before.
     """
     check_objective(objective)
     weights = schedule.betas / (2 * schedule.alphas * (1 - schedule.alpha_bars))

@@ -1,5 +1,6 @@
 """Pictures of the experiments: generated structures against their targets, Figs. 7 to 12."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 import seaborn as sns
 from matplotlib.patches import Rectangle
@@ -30,10 +31,9 @@ def plot_generated(experiment, descriptor, n_show=5):
     """
     level = experiment["level"].values
     levels = np.unique(level)
-    fig, axes = figure(
-        2 * len(levels), n_show + 1, width=TEXT_WIDTH, height=5.6 * len(levels),
-        width_ratios=[1] * n_show + [1.7], height_ratios=[0.9, 1] * len(levels),
-    )  # fmt: skip
+    fig = plt.figure(figsize=(TEXT_WIDTH / 2.54, 5.0 * len(levels) / 2.54))
+    pictures, distribution = fig.subfigures(1, 2, width_ratios=[n_show, 1.9])
+    axes = pictures.subplots(2 * len(levels), n_show, height_ratios=[0.9, 1] * len(levels), squeeze=False)
     extent = _extent(experiment)
     if descriptor in ("width", "box"):
         extent = max(extent[0], 1.05 * experiment["target"].values[:, -1].max()), extent[1]
@@ -57,10 +57,7 @@ def plot_generated(experiment, descriptor, n_show=5):
         first.set_title(" ")  # makes room for the line below, which is wider than its column
         line = f"({'abc'[k]}) target {SYMBOLS[descriptor]} = {wanted}"
         first.text(0, 1.06, line, transform=first.transAxes, fontsize="medium").set_in_layout(False)
-    grid = axes[0, -1].get_gridspec()
-    for ax in axes[:, -1]:
-        ax.remove()
-    _plot_achieved(fig.add_subplot(grid[:, -1]), experiment, descriptor)
+    _plot_achieved(distribution.subplots(), experiment, descriptor)
     return fig
 
 
@@ -152,7 +149,7 @@ def plot_agreement(experiments):
         valid = experiment["valid"].values
         jitter = np.random.default_rng(0).normal(0, 0.004, len(target))
         ax.plot((target + jitter)[valid], achieved[valid], "o", markersize=2, alpha=0.5)
-        for value in np.unique(target):
+        for value in np.unique(target[valid]):
             ax.plot(value, achieved[valid & (target == value)].mean(), "x", color=COLOURS.ink, markersize=7)
         shown = np.concatenate([target, achieved[valid]])
         span = np.array([shown.min(), shown.max()])
