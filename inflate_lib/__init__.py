@@ -14,6 +14,7 @@ _PUBLIC = {
     "build_mesh": "mesh",
     "inflate": "inflation",
     "describe": "descriptors",
+    "self_contact": "contact",
     "simulate_dataset": "datasets",
     "simulated_sevens": "datasets",
 }

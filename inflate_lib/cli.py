@@ -1,8 +1,9 @@
-"""The command ``inflate``: reproduce the notebooks, build the book, make the data set, train a model."""
+"""The command ``inflate``: reproduce the notebooks, build the book, simulate, make the data set, train a model."""
 
 import os
 import platform
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -51,11 +52,47 @@ def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False) -> N
 def dataset(
     source: Annotated[str, typer.Option(help="auto, mnist or digits.")] = "auto",
     structures: Annotated[int | None, typer.Option(help="How many sevens (all by default).")] = None,
+    dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://host:8786.")] = None,
 ) -> None:
     """Inflate the sevens, store the data set, print a summary."""
     from inflate_lib.datasets import simulated_sevens
 
-    print(simulated_sevens(source=source, n_structures=structures))
+    print(simulated_sevens(source=source, n_structures=structures, cluster=dask))
+
+
+@app.command()
+def simulate(
+    images: Annotated[
+        list[Path], typer.Argument(help="PNG, …: 28 × 28, white on black; or .npy with one image or a stack.")
+    ],
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    plot: Annotated[Path | None, typer.Option(help="Picture: undeformed, and deformed and coloured.")] = None,
+    gif: Annotated[Path | None, typer.Option(help="Animation of the load steps (.gif).")] = None,
+    vtk: Annotated[Path | None, typer.Option(help="ParaView: name.pvd with one name_000.vtu, … per load step.")] = None,
+    moose: Annotated[Path | None, typer.Option(help="Folder for MOOSE's input (.i) and mesh (.e).")] = None,
+    engine: Annotated[str, typer.Option(help="built-in, or moose where it is on the PATH.")] = "built-in",
+    colour: Annotated[str, typer.Option(help="von-mises or stretch.")] = "von-mises",
+    lame: Annotated[tuple[float, float], typer.Option(help="Lamé parameters λ and μ.")] = (16.44, 0.1644),
+    pressure: Annotated[float, typer.Option(help="Pressure at t = 1.")] = 0.01,
+    wall: Annotated[int, typer.Option(min=1, max=12, help="Thickness of the wall in pixels.")] = 2,
+    refine: Annotated[int, typer.Option(min=1, max=16, help="Elements per pixel and direction.")] = 1,
+    element: Annotated[str, typer.Option(help="mean-dilatation or q1.")] = "mean-dilatation",
+    steps: Annotated[int, typer.Option(min=1, max=10_000, help="Load steps.")] = 10,
+    resize: Annotated[bool, typer.Option("--resize", help="Fit pictures of another size into 28 × 28.")] = False,
+    invert: Annotated[bool, typer.Option("--invert", help="For black on white.")] = False,
+) -> None:
+    """Inflate the structures in image files: descriptors, picture, animation, ParaView, MOOSE.
+
+    With several structures, the name of each goes into the names of its files. Exit code 1 where one failed.
+    """
+    from inflate_lib.simulate import Options, report, simulate_files
+
+    options = Options(
+        lame=lame, pressure=pressure, wall=wall, refine=refine, element=element, n_steps=steps, resize=resize,
+        invert=invert, colour=colour, engine=engine, plot=plot, gif=gif, vtk=vtk, moose=moose,
+    )  # fmt: skip
+    if report(simulate_files(images, options), json, options):
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -15,7 +15,7 @@ import xarray as xr
 from joblib import Parallel, delayed
 
 import inflate_lib
-from inflate_lib import descriptors, inflation, mesh, progress, skyline, sources, structures
+from inflate_lib import contact, descriptors, inflation, material, mesh, progress, skyline, sources, structures
 from inflate_lib.cache import cached, code_version, digest
 from inflate_lib.descriptors import AXIS_POINTS
 
@@ -32,10 +32,12 @@ _UNITS = {
     "converged": ("every load step reached equilibrium", "1"),
     "reason": ("why not converged; empty where converged", ""),
     "factorisations": ("factorisations of the tangent", "1"),
+    "self_contact": ("pairs of boundary edges that cross at the last load step: walls overlap where positive", "1"),
+    "contact_step": ("first load step, from 1, at which boundary edges cross; 0 where they never do", "1"),
 }
 
 
-def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=None):
+def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=None, cluster=None):
     """Label, inflate and describe many images.
 
     Parameters
@@ -50,18 +52,24 @@ def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=N
         Print a line every few seconds.
     folder : path_like, optional
         Where finished parts are kept: a run that was killed goes on from them.
+    cluster : str, optional
+        Address of the scheduler of a Dask cluster, ``tcp://host:8786``, that works instead of local processes. Its
+        workers need this version of ``inflate_lib``, and no access to `folder`.
 
     Returns
     -------
     xarray.Dataset
         One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged),
-        height, width, hull_area, medial_axis (structure, point, axis), factorisations. Descriptors are in lengths and
+        height, width, hull_area, medial_axis (structure, point, axis), factorisations, self_contact, contact_step
+        (see :mod:`inflate_lib.contact`). Descriptors are in lengths and
         areas of the unit square, NaN where not converged.
 
     Raises
     ------
     ValueError
         Where `images` is no sequence of images at all, or `n_jobs` or `n_steps` is out of range.
+    RuntimeError
+        Where the Dask cluster does not answer or fails; a worker that dies is no failure.
     """
     images = _as_sequence(images)
     if isinstance(n_jobs, bool) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
@@ -77,13 +85,16 @@ def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=N
         numbered = zip(parts, starts, strict=True)
         jobs = (delayed(_simulate_once)(part, n_steps, folder, start) for part, start in numbered)
     workers = 1 if len(images) <= CHUNK else n_jobs
-    done = Parallel(n_jobs=workers, return_as="generator")(jobs)
+    if cluster is None:
+        done = Parallel(n_jobs=workers, return_as="generator")(jobs)
+    else:
+        done = _simulate_on_cluster(cluster, images, starts, n_steps, folder)
     if progress_text:
         done = progress.track(((len(part["height"]), part) for part in done), len(images), "inflating structures")
     return _assemble(list(done), n_steps)
 
 
-def simulated_sevens(source="auto", n_structures=None, n_jobs=-1):
+def simulated_sevens(source="auto", n_structures=None, n_jobs=-1, cluster=None):
     """The simulated sevens, computed once and kept on disk.
 
     Parameters
@@ -94,22 +105,24 @@ def simulated_sevens(source="auto", n_structures=None, n_jobs=-1):
         Only the first ones.
     n_jobs : int
         Processes; -1 for one per core.
+    cluster : str, optional
+        Address of a Dask scheduler, see :func:`simulate_dataset`.
 
     Returns
     -------
     xarray.Dataset
         See :func:`simulate_dataset`.
     """
-    return load_dataset(simulated_sevens_file(source, n_structures, n_jobs))
+    return load_dataset(simulated_sevens_file(source, n_structures, n_jobs, cluster))
 
 
-def simulated_sevens_file(source="auto", n_structures=None, n_jobs=-1):
+def simulated_sevens_file(source="auto", n_structures=None, n_jobs=-1, cluster=None):
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
     sevens = sources.load_sevens(source, limit=n_structures)
-    code = code_version(structures, mesh, skyline, inflation, descriptors, __name__)
+    code = code_version(structures, mesh, skyline, material, inflation, descriptors, contact, __name__)
 
     def make(target, scratch):
-        data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch)
+        data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch, cluster=cluster)
         data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": code}
         save_dataset(data, target)
 
@@ -164,6 +177,8 @@ def _simulate(images, n_steps):
         "hull_area": np.full(n, np.nan),
         "medial_axis": np.full((n, AXIS_POINTS, 2), np.nan),
         "factorisations": np.zeros(n, dtype=np.int32),
+        "self_contact": np.zeros(n, dtype=np.int32),
+        "contact_step": np.zeros(n, dtype=np.int32),
     }
     whole_numbers = getattr(images, "dtype", None) == np.uint8
     if not whole_numbers:
@@ -183,26 +198,65 @@ def _simulate(images, n_steps):
             shape = descriptors.describe(result)
             rows["height"][i], rows["width"][i], rows["hull_area"][i] = shape.height, shape.width, shape.hull_area
             rows["medial_axis"][i] = shape.medial_axis
+            rows["self_contact"][i] = contact.self_contact(result)
+            first = contact.first_contact(result)
+            rows["contact_step"][i] = 0 if first is None else first + 1
     rows["reason"] = np.array(rows["reason"])
     return rows
 
 
 def _simulate_once(images, n_steps, folder, start):
     """As `_simulate`, but read from `folder` where an earlier run finished it for the same images."""
+    path = _part_file(images, n_steps, folder, start)
+    rows = _stored(path)
+    if rows is None:
+        rows = _simulate(images, n_steps)
+        _store(path, rows)
+    return rows
+
+
+def _simulate_on_cluster(address, images, starts, n_steps, folder):
+    """Parts in order; each is stored here, where the results come together, as soon as it is there."""
+    from inflate_lib.cluster import run
+
+    parts = [images[start : start + CHUNK] for start in starts]
+    files = [_part_file(part, n_steps, folder, start) for part, start in zip(parts, starts, strict=True)]
+    there = {number: rows for number, file in enumerate(files) if (rows := _stored(file)) is not None}
+    missing = [number for number in range(len(parts)) if number not in there]
+    new = run(address, _simulate, ((parts[number], n_steps) for number in missing)) if missing else iter(())
+    for number in range(len(parts)):
+        while number not in there:
+            task, rows = next(new)
+            there[missing[task]] = rows
+            _store(files[missing[task]], rows)
+        yield there.pop(number)
+
+
+def _part_file(images, n_steps, folder, start):
+    """Where the rows of these images are kept; None where they are not."""
     try:
-        key = digest(np.asarray(images))[:12]
+        return folder and folder / f"{start:06d}-{n_steps}-{digest(np.asarray(images))[:12]}.npz"
     except (TypeError, ValueError, RuntimeError):  # ragged or not numeric: nothing to recognise it by
-        return _simulate(images, n_steps)
-    path = folder / f"{start:06d}-{n_steps}-{key}.npz"
+        return None
+
+
+def _stored(path):
+    """Rows from a file, or None where it is not there or damaged."""
+    if path is None:
+        return None
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return dict(stored)
-    except (OSError, ValueError, EOFError, KeyError, BadZipFile, zlib.error):  # not there, or damaged
-        rows = _simulate(images, n_steps)
+    except (OSError, ValueError, EOFError, KeyError, BadZipFile, zlib.error):
+        return None
+
+
+def _store(path, rows):
+    if path is None:
+        return
     draft = path.with_name(f".{os.getpid()}-{path.name}")
     np.savez(draft, **rows)
     os.replace(draft, path)
-    return rows
 
 
 def _assemble(parts, n_steps):

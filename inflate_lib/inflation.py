@@ -23,15 +23,16 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from inflate_lib import skyline
+from inflate_lib import material, skyline
+from inflate_lib.material import LAMBDA, MU
 from inflate_lib.mesh import Mesh, build_mesh
 
-LAMBDA, MU = 16.44, 0.1644  # Lamé parameters (paper sec. 3)
 PRESSURE = 0.01  # internal pressure at t = 1: p(t) = PRESSURE · t
 ELEMENTS = ("mean-dilatation", "q1")
 
 MAX_ITERATIONS = 40  # Newton iterations of one load step
 MAX_HALVINGS = 6  # of a load step that does not converge
+FACTORISATIONS = 1000, 100  # allowed in all, or per load step if that is more; MNIST's sevens take at most 264 in ten
 MAX_MOVE = 0.1  # largest nodal move of one Newton iteration, in lengths of the unit square
 MIN_J = 0.05  # smallest area ratio allowed on the way
 TOLERANCE = 1e-8  # largest nodal move of a full Newton step at which it counts as converged (the next would be < 1e-12)
@@ -102,16 +103,12 @@ class Inflation:
 
         With mean dilatation the part φ′(J) cof F takes the element's mean J, as the equilibrium does.
         """
-        lam, mu = self.lame
-        F = self.deformation_gradient
-        cofactor = np.stack(
-            [np.stack([F[..., 1, 1], -F[..., 1, 0]], -1), np.stack([-F[..., 0, 1], F[..., 0, 0]], -1)], -2
-        )
-        J = F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
+        F, J = self.deformation_gradient, None
         if self.element == "mean-dilatation":
+            J = np.linalg.det(F)
             _, weights = shape_gradients(self.nodes[self.cells])
             J = np.broadcast_to(np.average(J, axis=-1, weights=np.broadcast_to(weights, J.shape))[..., None], J.shape)
-        return mu * F + ((lam * np.log(J) - mu) / J)[..., None, None] * cofactor
+        return material.first_piola_kirchhoff(F, self.lame, J)
 
 
 def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU)):
@@ -154,7 +151,8 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
 
     system = _System.of(mesh, element, mu)
     times = np.arange(1, n_steps + 1) / n_steps
-    positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressure * times)
+    allowed = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps)
+    positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressure * times, allowed)
     displacement = np.full((n_steps, *mesh.nodes.shape), np.nan)
     displacement[:reached] = 0.0
     free_positions = positions.reshape(n_steps, len(system.order), 2)[:reached]
@@ -163,6 +161,8 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
     if reached < n_steps:
         last = pressure * times[reached]
         reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {last:.4g})"
+        if factorisations >= allowed:
+            reason += f" within {allowed} factorisations"
     return Inflation(
         mesh, element, times, pressure * times, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
     )
@@ -224,10 +224,12 @@ class _System:
     offset: np.ndarray
     constant: np.ndarray  # skyline of k
     pressure: np.ndarray  # skyline of H
+    pinned: np.ndarray  # unknowns (2 node + direction) that are held though their node is free in the other direction
 
     @classmethod
     def of(cls, mesh, element, mu):
-        free = np.flatnonzero(~mesh.clamped)
+        held = np.broadcast_to(np.reshape(mesh.clamped, (len(mesh.nodes), -1)), mesh.nodes.shape)  # (n,) or (n, 2)
+        free = np.flatnonzero(~held.all(axis=1))
         number = np.full(len(mesh.nodes), -1)
         number[free] = np.arange(len(free))
         order = free[skyline.bandwidth_order(len(free), number[mesh.cells])]
@@ -253,12 +255,13 @@ class _System:
         return cls(
             order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness, np.ascontiguousarray(dilatation),
             weights, edges, mesh.nodes[mesh.pressure_edges], first, offset, constant, pressure,
+            np.flatnonzero(held[order]),
         )  # fmt: skip
 
     def arrays(self):
         return (
             self.x0, self.cells, self.fixed, self.kind, self.stiffness, self.dilatation, self.weights,
-            self.edges, self.edges_fixed, self.first, self.offset, self.constant, self.pressure,
+            self.edges, self.edges_fixed, self.first, self.offset, self.constant, self.pressure, self.pinned,
         )  # fmt: skip
 
 
@@ -366,6 +369,18 @@ def _tangent(values, constant, pressure, cells, kind, dilatation, weights, J, c,
 
 
 @njit(cache=True, nogil=True)
+def _pin(pinned, values, first, offset, r):
+    """Hold single unknowns: their rows and columns become those of the identity, their residual zero."""
+    for k in pinned:
+        r[k] = 0.0
+        values[offset[k] + first[k] : offset[k] + k] = 0.0
+        values[offset[k] + k] = 1.0
+        for i in range(k + 1, len(r)):
+            if first[i] <= k:
+                values[offset[i] + k] = 0.0
+
+
+@njit(cache=True, nogil=True)
 def _largest_step(J, slope, bend, start):
     """Largest s ≤ start with J + s·slope + s²·bend ≥ MIN_J along all of [0, s], everywhere (J is quadratic in s)."""
     s = start
@@ -386,13 +401,14 @@ def _largest_step(J, slope, bend, start):
 @njit(cache=True, nogil=True)
 def _march(
     x0, cells, fixed, kind, stiffness, dilatation, weights, edges, edges_fixed, first, offset, constant, pressure,
-    lam, mu, pressures,
+    pinned, lam, mu, pressures, allowed,
 ):  # fmt: skip
     """Follow the equilibrium through the load steps.
 
     Newton's method on Π, with one change to the tangent (mixed integration points, Magisano et al. 2017): λ ln J is
     replaced by its linear extrapolation from the last iterate. The residual, and so the solution, is that of Π.
-    A load step that fails is approached in halves.
+    A load step that fails is approached in halves. After `allowed` factorisations it gives up, so that every
+    structure ends in bounded time.
 
     Returns positions (steps, 2 free), the number of load steps reached, and the number of factorisations.
     """
@@ -417,10 +433,13 @@ def _march(
                     pi[:] = lam * np.log(J)
                 _residual(corners, cells, kind, stiffness, weights, J, c, edges, edge_corners, lam, mu, p, r)
                 for theta in (1.0, 0.5, 0.25, 0.0):
+                    if factorisations >= allowed:
+                        return positions, target, factorisations
                     _tangent(
                         values, constant, pressure, cells, kind, dilatation, weights, J, c, pi, theta, lam, mu, p,
                         offset,
                     )  # fmt: skip
+                    _pin(pinned, values, first, offset, r)
                     factorisations += 1
                     done = skyline.factorise(values, first, offset, inverse_pivots)
                     if done == n:

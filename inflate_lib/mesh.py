@@ -26,8 +26,9 @@ class Mesh:
     pressure_edges : (k, 2) int
         Node numbers of each edge between wall and void, with the cavity on the left-hand side, so that the edges
         run counter-clockwise around the cavity.
-    clamped : (n,) bool
-        Nodes that cannot move: those on y = 0.
+    clamped : (n,) or (n, 2) bool
+        Nodes that cannot move: those on y = 0. With two columns, directions (x, y) in which a node cannot move, as on
+        the symmetry lines of a verification problem.
     """
 
     nodes: np.ndarray

@@ -12,7 +12,16 @@ import pytest
 import torch
 import xarray as xr
 
-from inflate_lib import datasets, describe, inflate, label_image, paths, simulate_dataset, simulated_sevens
+from inflate_lib import (
+    datasets,
+    describe,
+    inflate,
+    label_image,
+    paths,
+    self_contact,
+    simulate_dataset,
+    simulated_sevens,
+)
 from inflate_lib.datasets import load_dataset, save_dataset
 from inflate_lib.sources import load_sevens, resolve_source
 
@@ -61,6 +70,19 @@ def test_rows_are_what_the_steps_give():
         assert bool(row.converged) and row.reason.item() == ""
         assert (row.height, row.width, row.hull_area) == (d.height, d.width, d.hull_area)
         assert np.array_equal(row.medial_axis, d.medial_axis)
+
+
+def test_self_contact_is_recorded():
+    arch = np.zeros((28, 28))
+    arch[4:24, 6:9] = arch[4:24, 14:17] = arch[4:7, 6:17] = 1  # its legs are near one another and move closer
+    data = simulate_dataset(np.stack([arch, arch[::-1], DIGITS[0] / 255]), n_jobs=1)
+    assert data.converged.all()
+    result = inflate(label_image(arch))
+    steps = [self_contact(result, step) for step in range(10)]
+    assert data.self_contact.values.tolist() == [steps[-1], 0, 0]
+    assert data.contact_step.values.tolist() == [1 + next(i for i, found in enumerate(steps) if found), 0, 0]
+    assert steps[-1] > 0
+    assert data.self_contact.dtype.kind == data.contact_step.dtype.kind == "i"
 
 
 def test_nothing_is_dropped_and_order_is_kept():
@@ -224,6 +246,8 @@ def test_every_mnist_seven_converges():
     assert data.converged.all() and not (data.reason != "").any()
     assert data.attrs["load_steps"] == 10
     assert 0.3 < data.height.min() and data.height.max() < 2
+    assert abs(int((data.self_contact > 0).sum()) - 1023) <= 2  # a crossing may hang by a rounding error
+    assert ((data.self_contact > 0) <= (data.contact_step > 0)).all()
     rows = np.random.default_rng(0).choice(6265, 20, replace=False)
     fresh = simulate_dataset(load_sevens("mnist").images[rows])
     for name in NUMBERS:

@@ -30,6 +30,11 @@ GOLDEN = {
     "10_scalar_targets": {"chance_error_height": (7.425955223956328, 1e-6)},
     "11_medial_axes": {"axis_chance_px": (1.0951075609126195, 1e-6)},
     "12_comparison": {"n_numbers": (39, 0), "table1_largest_deviation": (24.710708588565765, 1e-6)},
+    "13_verification": {
+        "inner_radius": (0.7481541132, 1e-8),
+        "tube_error_percent": (0.8167559, 1e-6),
+        "arch_pairs": (8, 0),
+    },
 }
 
 

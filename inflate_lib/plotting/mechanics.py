@@ -1,11 +1,13 @@
 """Pictures of the mechanics: meshes, load steps, verification, and the distributions of a simulated data set."""
 
 import numpy as np
+from matplotlib.animation import FuncAnimation
 
 from inflate_lib.plotting.structures import draw_clamped_edge, draw_inflated, draw_mesh
 from inflate_lib.plotting.style import COLOURS, HATCHES, figure, picture_axes
 
 STRETCH_MAP = "cividis"  # reads the same in grey and with every colour-vision deficiency
+HELD_FRAMES = 5  # of an animation, on its last state
 
 
 def plot_mesh(mesh):
@@ -131,3 +133,55 @@ def _fit(axes, points, margin=0.04):
     for ax in axes:
         ax.set_xlim(left, right)
         ax.set_ylim(min(bottom, -margin), top)
+
+
+def plot_inflation(result, values, label, step):
+    """The undeformed structure beside the deformed one, coloured by `values`, (steps, m), over its undeformed self."""
+    fig, axes = figure(1, 2, width=15, height=8, sharex=True, sharey=True)
+    draw_mesh(axes[0], result.nodes, result.cells)
+    axes[0].set_title("undeformed")
+    cells = _draw_coloured(axes[1], result, values, step)
+    axes[1].set_title(_when(result, step))
+    for ax in axes:
+        draw_clamped_edge(ax, result.nodes)
+    _fit(axes, np.concatenate([result.nodes, result.deformed(step)]))
+    fig.colorbar(cells, ax=axes, label=label, shrink=0.8, aspect=30, extend="both")
+    return fig
+
+
+def animate_inflation(result, values, label, steps):
+    """Figure and animation of the first `steps` load steps, after the undeformed state; the last one is held.
+
+    `values` is (steps + 1, m), the undeformed state first.
+    """
+    fig, ax = figure(1, 1, width=10, height=9)
+    cells = _draw_coloured(ax, result, values[1:], steps - 1)
+    draw_clamped_edge(ax, result.nodes)
+    _fit([ax], np.concatenate([result.nodes, *result.displacement[:steps] + result.nodes]))
+    fig.colorbar(cells, ax=ax, label=label, shrink=0.8, aspect=30, extend="both")
+    title = ax.set_title(_when(result, steps - 1))
+    fig.draw_without_rendering()
+    fig.set_layout_engine("none")  # laid out once; again for each frame would take most of the time
+
+    def draw(frame):
+        step = min(frame, steps) - 1
+        cells.set_verts((result.deformed(step) if step >= 0 else result.nodes)[result.cells])
+        cells.set_array(values[step + 1])
+        title.set_text(_when(result, step))
+        return [cells, title]
+
+    return fig, FuncAnimation(fig, draw, frames=steps + 1 + HELD_FRAMES)
+
+
+def _when(result, step):
+    time, pressure = (result.load_steps[step], result.pressures[step]) if step >= 0 else (0.0, 0.0)
+    return f"$t$ = {time:.3g}, pressure {pressure:.3g}"
+
+
+def _draw_coloured(ax, result, values, step):
+    """One load step over the undeformed shape, coloured cell by cell on a scale that one cell cannot eat."""
+    draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.ghost, edge="face", alpha=0.35)
+    nodes = result.deformed(step)
+    cells = draw_mesh(ax, nodes, result.cells, colour=None, edge="face", array=values[step], cmap=STRETCH_MAP)
+    cells.set_clim(*np.percentile(values[step], [1, 99]))
+    return cells

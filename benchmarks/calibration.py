@@ -1,0 +1,51 @@
+"""Calibration study: how far the centroids of all MNIST sevens are from Table 1, for other choices than the default.
+
+    python benchmarks/calibration.py [processes]
+
+writes data/reference/calibration.csv, which the appendix "Verification" reads, and calibration.json beside it, which
+says where it comes from. Several minutes.
+"""
+
+import json
+import sys
+from dataclasses import asdict
+
+import numpy as np
+import pandas as pd
+
+from inflate_lib import descriptors, inflation, mesh, paths, structures
+from inflate_lib.cache import code_version
+from inflate_lib.publishing import package_versions
+from inflate_lib.sources import load_sevens
+from inflate_lib.targets import deviation_from_paper, find_clusters
+from inflate_lib.verification import SETTINGS, simulate_setting
+
+
+def main(n_jobs):
+    sevens = load_sevens("mnist")
+    rows = []
+    for setting in SETTINGS:
+        sizes = simulate_setting(sevens.images, setting, n_jobs)
+        good = sizes[np.isfinite(sizes).all(axis=1)]
+        columns = {"height": good[:, :1], "width": good[:, 1:2], "box": good[:, :2], "area": good[:, 2:]}
+        centroids = {name: find_clusters(matrix).centroids for name, matrix in columns.items()}
+        mean, largest = deviation_from_paper(centroids)
+        rows.append(
+            asdict(setting)
+            | {"n_simulated": len(good), "mean_deviation_percent": mean, "largest_deviation_percent": largest}
+            | dict(zip(("mean_height", "mean_width", "mean_hull_area"), good.mean(axis=0), strict=True))
+        )
+        print(rows[-1], flush=True)
+    pd.DataFrame(rows).to_csv(paths.REFERENCE / "calibration.csv", index=False, float_format="%.8g")
+    note = {
+        "made_by": "benchmarks/calibration.py",
+        "data": sevens.description,
+        "n_images": len(sevens.images),
+        "code_version": code_version(structures, mesh, inflation, descriptors),
+        "packages": package_versions(),
+    }
+    (paths.REFERENCE / "calibration.json").write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1)

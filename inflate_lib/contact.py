@@ -1,0 +1,102 @@
+"""Self-contact: where the walls of an inflated structure pass through one another.
+
+The simulation has no contact, as the paper's has none: walls that meet do not notice. Whether they did is a matter of
+geometry. The boundary of the wall consists of the edges that belong to one element only; where two of them that share
+no node cross, wall lies upon wall.
+"""
+
+import numpy as np
+from numba import njit
+
+
+def self_contact(result, step=-1):
+    """Number of pairs of boundary edges that cross one another in the deformed structure.
+
+    Edges that share a node are left out, and so are edges that merely touch (an end of one lies on the other, or they
+    lie along one another). Where two walls cross, there are at least two such pairs.
+
+    Parameters
+    ----------
+    result : Inflation
+    step : int
+        Load step, the last one by default.
+
+    Returns
+    -------
+    int
+        0 where no wall crosses a wall, and also at a load step without an equilibrium.
+    """
+    return int(_count_crossings(result.deformed(step), boundary_edges(result.cells)))
+
+
+def first_contact(result):
+    """Index of the first load step at which walls cross one another, or None where they never do."""
+    edges = boundary_edges(result.cells)
+    for step in range(len(result.displacement)):
+        if _count_crossings(result.deformed(step), edges):
+            return step
+    return None
+
+
+def crossing_edges(result, step=-1):
+    """The pairs behind :func:`self_contact`, (k, 2, 2) int: pair, edge, node numbers of its two ends."""
+    edges, positions = boundary_edges(result.cells), result.deformed(step)
+    pairs = np.empty((int(_count_crossings(positions, edges)), 2), dtype=np.int64)
+    _find_crossings(positions, edges, pairs)
+    return edges[pairs]
+
+
+def boundary_edges(cells):
+    """Edges that belong to one quadrilateral only.
+
+    Parameters
+    ----------
+    cells : (m, 4) int
+        Node numbers, in order around each quadrilateral.
+
+    Returns
+    -------
+    (k, 2) int
+        Node numbers of the two ends of each edge, the smaller first.
+    """
+    ends = np.stack([cells, np.roll(cells, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    codes, counts = np.unique(low * (high.max() + 1) + high, return_counts=True)
+    return np.column_stack(np.divmod(codes[counts == 1], high.max() + 1))
+
+
+@njit(cache=True, nogil=True)
+def _count_crossings(x, edges):
+    return _find_crossings(x, edges, np.empty((0, 2), dtype=np.int64))
+
+
+@njit(cache=True, nogil=True)
+def _find_crossings(x, edges, pairs):
+    """Number of proper crossings; the first ones are written to `pairs`, as many as it has rows."""
+    count = 0
+    for e in range(len(edges)):
+        i, j = edges[e]
+        left, right = min(x[i, 0], x[j, 0]), max(x[i, 0], x[j, 0])
+        bottom, top = min(x[i, 1], x[j, 1]), max(x[i, 1], x[j, 1])
+        for f in range(e + 1, len(edges)):
+            k, m = edges[f]
+            # most pairs are far apart; NaN fails every comparison and ends at the last test
+            if max(x[k, 0], x[m, 0]) < left or min(x[k, 0], x[m, 0]) > right:
+                continue
+            if max(x[k, 1], x[m, 1]) < bottom or min(x[k, 1], x[m, 1]) > top:
+                continue
+            if i in (k, m) or j in (k, m):
+                continue
+            here = _side(x, i, j, k) * _side(x, i, j, m)
+            there = _side(x, k, m, i) * _side(x, k, m, j)
+            if here < 0 and there < 0:
+                if count < len(pairs):
+                    pairs[count, 0], pairs[count, 1] = e, f
+                count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _side(x, i, j, k):
+    """Twice the signed area of the triangle i, j, k: positive where k is on the left of the way from i to j."""
+    return (x[j, 0] - x[i, 0]) * (x[k, 1] - x[i, 1]) - (x[j, 1] - x[i, 1]) * (x[k, 0] - x[i, 0])

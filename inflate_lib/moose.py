@@ -1,0 +1,228 @@
+"""The same inflation for MOOSE, the engine of the paper: an input file and its mesh, and a run where MOOSE is there.
+
+The input is the paper's model in MOOSE's total Lagrangian system: ``ComputeNeoHookeanStress`` on
+``ComputeLagrangianStrain``, ``Pressure`` on the displaced mesh, plane strain, load steps in time from 0 to 1.
+``stabilize_strain`` is MOOSE's F-bar, the unsymmetric relative of our mean dilatation; it is off for plain Q1.
+
+The files are checked by reading them back; they have not been run with MOOSE in this project.
+"""
+
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from inflate_lib import exodus
+from inflate_lib.inflation import LAMBDA, MU, PRESSURE
+
+#: Programs that contain MOOSE's solid mechanics, in the order in which they are looked for.
+PROGRAMS = ("solid_mechanics-opt", "combined-opt")
+
+_INPUT = """\
+# Inflation of a soft structure: plane strain, neo-Hookean, pressure that follows the wall.
+# Lengths in sides of the unit square that the image fills. Run: solid_mechanics-opt -i {name}.i
+
+[GlobalParams]
+  displacements = 'disp_x disp_y'
+  large_kinematics = true
+  stabilize_strain = {stabilize}
+[]
+
+[Mesh]
+  [wall]
+    type = FileMeshGenerator
+    file = {name}.e
+  []
+[]
+
+[Variables]
+  [disp_x]
+  []
+  [disp_y]
+  []
+[]
+
+[Kernels]
+  [stress_x]
+    type = TotalLagrangianStressDivergence
+    variable = disp_x
+    component = 0
+  []
+  [stress_y]
+    type = TotalLagrangianStressDivergence
+    variable = disp_y
+    component = 1
+  []
+[]
+
+[Materials]
+  [strain]
+    type = ComputeLagrangianStrain
+  []
+  [stress]
+    type = ComputeNeoHookeanStress
+    lambda = {lam!r}
+    mu = {mu!r}
+  []
+[]
+
+[Functions]
+  [inflation]
+    type = ParsedFunction
+    expression = '{pressure!r} * t'
+  []
+[]
+
+[BCs]
+  [clamped_x]
+    type = DirichletBC
+    variable = disp_x
+    boundary = {clamped}
+    value = 0
+  []
+  [clamped_y]
+    type = DirichletBC
+    variable = disp_y
+    boundary = {clamped}
+    value = 0
+  []
+  [Pressure]
+    [inside]
+      boundary = {cavity}
+      function = inflation
+      use_displaced_mesh = true
+    []
+  []
+[]
+
+[Preconditioning]
+  [full]
+    type = SMP
+    full = true
+  []
+[]
+
+[Executioner]
+  type = Transient
+  solve_type = NEWTON
+  petsc_options_iname = '-pc_type'
+  petsc_options_value = 'lu'
+  line_search = none
+  automatic_scaling = true
+  nl_rel_tol = 1e-10
+  nl_abs_tol = 1e-12
+  nl_max_its = 40
+  start_time = 0
+  end_time = 1
+  dt = {dt!r}
+[]
+
+[Outputs]
+  [exodus]
+    type = Exodus
+    file_base = {name}_out
+  []
+[]
+"""
+
+
+def input_text(name, n_steps=10, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
+    """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`."""
+    lam, mu = (float(value) for value in lame)
+    return _INPUT.format(
+        name=name, stabilize="true" if element == "mean-dilatation" else "false", lam=lam, mu=mu,
+        pressure=float(pressure), dt=1 / n_steps, cavity=exodus.CAVITY, clamped=exodus.CLAMPED,
+    )  # fmt: skip
+
+
+def write_case(mesh, folder, name="inflation", **parameters):
+    """Write ``name.i`` and ``name.e`` into a folder.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    folder : path_like
+        Made where it is missing.
+    name : str
+        Letters, digits, dots, hyphens and underscores.
+    parameters
+        ``n_steps``, ``element``, ``pressure``, ``lame``, as :func:`inflate_lib.inflate` takes them.
+
+    Returns
+    -------
+    list of Path
+        The input file and the mesh.
+
+    Raises
+    ------
+    ValueError
+        For a name that MOOSE's input syntax would not take for one word.
+    """
+    if not name or not all(c.isalnum() or c in "._-" for c in name):
+        raise ValueError(f"name: {name!r} must consist of letters, digits, dots, hyphens and underscores")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{name}.i", folder / f"{name}.e"]
+    files[0].write_text(input_text(name, **parameters), encoding="utf-8")
+    exodus.write_mesh(mesh, files[1])
+    return files
+
+
+def find_program():
+    """Path of a MOOSE program, or a RuntimeError that says which are looked for."""
+    for name in PROGRAMS:
+        if found := shutil.which(name):
+            return found
+    raise RuntimeError(f"MOOSE is not here: neither {' nor '.join(PROGRAMS)} is on the PATH")
+
+
+def run_case(result, input_file, time_limit=600.0):
+    """Run a case and return what MOOSE found as an :class:`Inflation`.
+
+    Parameters
+    ----------
+    result : Inflation
+        Our result of the same case; it lends mesh, load steps and parameters.
+    input_file : path_like
+        From :func:`write_case`.
+    time_limit : float
+        Seconds.
+
+    Returns
+    -------
+    Inflation
+        With MOOSE's displacements; stresses that are asked of it are evaluated with our element. ``factorisations`` is
+        0. ``converged`` is False, with MOOSE's last line as the reason, where a load step is missing.
+
+    Raises
+    ------
+    RuntimeError
+        Where there is no MOOSE, or it wrote no results in time.
+    """
+    input_file = Path(input_file)
+    output = input_file.with_name(f"{input_file.stem}_out.e")
+    output.unlink(missing_ok=True)  # an older run must not pass for this one
+    command = [find_program(), "-i", input_file.name]
+    try:
+        done = subprocess.run(
+            command, cwd=input_file.parent, capture_output=True, text=True, errors="replace", timeout=time_limit,
+            stdin=subprocess.DEVNULL, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        raise RuntimeError(f"MOOSE did not finish {input_file.name} within {time_limit:g} s") from None
+    said = ([line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()] or ["nothing"])[-1]
+    if not output.exists():
+        raise RuntimeError(f"MOOSE wrote no results for {input_file.name} (exit code {done.returncode}): {said}")
+    times, found = exodus.read_displacement(output, result.nodes)
+    displacement = np.full(result.displacement.shape, np.nan)
+    for step, time in enumerate(result.load_steps):
+        at = np.flatnonzero(np.abs(times - time) < 1e-9)  # MOOSE may have cut a load step into more
+        if not at.size:
+            break
+        displacement[step] = found[at[-1]]
+    reached = int(np.isfinite(displacement).all(axis=(1, 2)).sum())
+    converged = reached == len(result.load_steps)
+    reason = "" if converged else f"MOOSE reached load step {reached} of {len(result.load_steps)}: {said}"
+    return replace(result, displacement=displacement, converged=converged, reason=reason, factorisations=0)

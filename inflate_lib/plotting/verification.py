@@ -1,0 +1,70 @@
+"""Pictures of the appendix: errors against refinement, the mesh study, and walls that cross walls."""
+
+import numpy as np
+
+from inflate_lib.plotting.structures import draw_inflated, draw_mesh
+from inflate_lib.plotting.style import COLOURS, figure
+
+ELEMENT_STYLES = {
+    "q1": ("plain", "s--", COLOURS.target),
+    "mean-dilatation": ("mean dilatation", "o-", COLOURS.wall),
+    "q2": ("biquadratic (FElupe)", "^:", COLOURS.medium),
+}
+
+
+def plot_tube(result, exact_radii, refinements, errors):
+    """A quarter of the tube before and after, with its exact radii, and errors against refinement.
+
+    `errors` maps elements to (refinements,) largest relative errors of the deformed radius.
+    """
+    fig, (picture, plot) = figure(1, 2, width=15, height=7.0)
+    draw_mesh(picture, result.nodes, result.cells, colour=COLOURS.ghost, edge="face", alpha=0.35)
+    draw_mesh(picture, result.deformed(), result.cells)
+    angle = np.linspace(0, np.pi / 2, 200)
+    for radius in exact_radii:
+        picture.plot(radius * np.cos(angle), radius * np.sin(angle), "--", color=COLOURS.target, linewidth=1.2)
+    picture.set_xlabel("inflated over undeformed (grey); exact radii dashed")
+    for element, values in errors.items():
+        name, style, colour = ELEMENT_STYLES[element]
+        plot.loglog(refinements, values, style, color=colour, markersize=4, label=name)
+    n = np.array(refinements, dtype=float)
+    plot.loglog(n, 0.6 * errors["mean-dilatation"][0] * (n[0] / n) ** 2, color=COLOURS.ink, lw=0.8, label="slope −2")
+    plot.set_xticks(refinements, [str(n) for n in refinements])
+    plot.minorticks_off()
+    plot.set_xlabel("elements through the wall")
+    plot.set_ylabel("largest relative error of a radius")
+    plot.legend(loc="lower left")
+    return fig
+
+
+def plot_mesh_study(table):
+    """Errors of height, width and hull area in percent (columns ``…_error``) over refinement, per structure."""
+    fig, axes = figure(1, 3, height=6.0, sharex=True, sharey=True)
+    for ax, quantity in zip(axes, ("height", "width", "hull_area"), strict=True):
+        for (_, element), rows in table.groupby(["structure", "element"]):
+            name, style, colour = ELEMENT_STYLES[element]
+            label = name if rows["structure"].iloc[0] == table["structure"].min() else None
+            ax.plot(rows["refine"], rows[f"{quantity}_error"], style, color=colour, markersize=3.5, label=label)
+        ax.axhline(0, color=COLOURS.ink, linewidth=0.8)
+        ax.set_xscale("log", base=2)
+        ax.set_xticks([1, 2, 4, 8], ["1", "2", "4", "8"])
+        ax.minorticks_off()
+        ax.set_xlabel("elements per pixel side")
+        ax.set_title(quantity.replace("_", " "))
+    axes[0].set_ylabel("difference from the truth (%)")
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return fig
+
+
+def plot_crossings(results, pairs, titles, columns=3):
+    """Inflated structures with the boundary edges that cross one another drawn on top; `pairs` from crossing_edges."""
+    rows = -(-len(results) // columns)
+    fig, axes = figure(rows, columns, height=6.0 * rows, squeeze=False)
+    for ax in axes.flat[len(results) :]:
+        ax.set_axis_off()
+    for ax, result, crossing, title in zip(axes.flat, results, pairs, titles, strict=False):
+        deformed = draw_inflated(ax, result, ghost=False)
+        for ends in crossing.reshape(-1, 2):
+            ax.plot(*deformed[ends].T, color=COLOURS.target, linewidth=2, zorder=4)
+        ax.set_title(title)
+    return fig

@@ -1,0 +1,243 @@
+"""What ``inflate simulate`` does: image files in; descriptors, pictures, ParaView files and MOOSE cases out.
+
+Every image gets its record, and one that cannot be read or inflated does not stop the others.
+"""
+
+import json
+import re
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from inflate_lib import export, moose
+from inflate_lib.descriptors import describe
+from inflate_lib.inflation import LAMBDA, MU, PRESSURE, inflate
+from inflate_lib.mesh import build_mesh
+from inflate_lib.structures import FRAME, WALL, label_image
+
+ENGINES = ("built-in", "moose")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to compute and what to write; the defaults are the paper's structure, and nothing written."""
+
+    lame: tuple[float, float] = (LAMBDA, MU)
+    pressure: float = PRESSURE
+    wall: int = WALL
+    refine: int = 1
+    element: str = "mean-dilatation"
+    n_steps: int = 10
+    resize: bool = False
+    invert: bool = False
+    colour: str = "von-mises"
+    engine: str = "built-in"
+    plot: Path | None = None
+    gif: Path | None = None
+    vtk: Path | None = None
+    moose: Path | None = None
+
+
+def simulate_files(files, options):
+    """Inflate the structures in image files and write what the options ask for.
+
+    Parameters
+    ----------
+    files : list of path_like
+        PNG or another picture, or ``.npy`` with one image or a stack of them.
+    options : Options
+
+    Yields
+    ------
+    dict
+        One record per image: name, file, note, converged, reason (why it failed: the image, the equilibrium, or a file
+        that cannot be written), height, width, hull_area, medial_axis (None where not converged), seconds, files.
+
+    Raises
+    ------
+    ValueError
+        For options that make no sense with any image.
+    """
+    if options.colour not in export.QUANTITIES:
+        raise ValueError(f"colour must be one of {', '.join(export.QUANTITIES)}, not {options.colour!r}")
+    if options.engine not in ENGINES:
+        raise ValueError(f"engine must be one of {', '.join(ENGINES)}, not {options.engine!r}")
+    if options.engine == "moose" and options.moose is None:
+        raise ValueError("engine moose needs a folder for its files: --moose DIR")
+    for name, suffixes in (("gif", (".gif",)), ("vtk", (".pvd", ".vtu"))):
+        path = getattr(options, name)
+        if path is not None and Path(path).suffix.lower() not in suffixes:
+            raise ValueError(f"{name}: {path} must end with {' or '.join(suffixes)}")
+    images = [image for file in files for image in _images(Path(file), options)]
+    names = _distinct([name for name, *_ in images])
+    for name, (_, file, image, note) in zip(names, images, strict=True):
+        yield _record(name, file, image, note, options, alone=len(images) == 1)
+
+
+def read_images(path, resize=False, invert=False):
+    """Images in a file, as (n, 28, 28) uint8 or float, and a note on what was done to them.
+
+    Parameters
+    ----------
+    path : path_like
+        A picture (PNG, …: white structure on black, 8 bits) or ``.npy`` with (28, 28) or (n, 28, 28) numbers.
+    resize : bool
+        Fit a picture of another size into 28 × 28: the longer side to 28 pixels, centred on black.
+    invert : bool
+        For a black structure on white.
+
+    Raises
+    ------
+    ValueError
+        Naming the file, where it cannot be read or has another size and `resize` is off.
+    """
+    path = Path(path)
+    note = ""
+    if path.suffix.lower() == ".npy":
+        try:
+            images = np.load(path, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise ValueError(f"{path} cannot be read as a NumPy array: {_reason(error)}") from None
+        images = images[None] if images.ndim == 2 else images
+        if images.ndim != 3 or images.shape[1:] != (FRAME, FRAME) or not len(images):
+            raise ValueError(f"{path} holds an array of shape {images.shape}, not ({FRAME}, {FRAME}) or a stack")
+    else:
+        picture = _read_picture(path)
+        images = np.asarray(picture)[None]
+        if picture.size != (FRAME, FRAME):
+            width, height = picture.size
+            if not resize:
+                raise ValueError(f"{path} is {width} × {height} pixels; {FRAME} × {FRAME} is needed (--resize fits it)")
+            note = f"resized from {width} × {height}"
+    if invert:  # before the frame is filled up with black
+        images = (255 if images.dtype == np.uint8 else 1) - images
+    return (_fitted(images[0])[None], note) if note else (images, note)
+
+
+def report(records, as_json, options):
+    """Print the records, a table or JSON, and a summary on stderr; return the number of structures that failed."""
+    from rich.console import Console
+    from rich.table import Table
+
+    done = []
+    say = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+    for record in records:
+        done.append(record)
+        if record["reason"]:
+            say.print(f"{record['name']}: {record['reason']}")
+    failed = sum(bool(record["reason"]) for record in done)
+    if as_json:
+        parameters = {k: v for k, v in asdict(options).items() if k not in ("plot", "gif", "vtk", "moose")}
+        print(json.dumps({"parameters": parameters, "structures": done}, indent=1, allow_nan=False))
+    else:
+        table = Table("structure", "height", "width", "hull area", "seconds", "files", title=None)
+        for record in done:
+            if record["converged"]:
+                numbers = [f"{record[key]:.4f}" for key in ("height", "width", "hull_area")]
+                name = f"{record['name']} ({record['note']})" if record["note"] else record["name"]
+                table.add_row(name, *numbers, f"{record['seconds']:.2f}", "\n".join(record["files"]))
+        if failed < len(done):
+            Console(width=None if sys.stdout.isatty() else 160, markup=False).print(table)
+    say.print(f"{len(done) - failed} of {len(done)} structures inflated" + (f", {failed} failed" if failed else ""))
+    return failed
+
+
+def _images(path, options):
+    """(name, file, image, note) of each image in a file; the image is a ValueError where the file is no good."""
+    try:
+        images, note = read_images(path, options.resize, options.invert)
+    except ValueError as error:
+        return [(path.stem, path, error, "")]
+    if len(images) == 1:
+        return [(path.stem, path, images[0], note)]
+    return [(f"{path.stem}_{i:03d}", path, image, note) for i, image in enumerate(images)]
+
+
+def _record(name, file, image, note, options, alone):
+    """Inflate one image and write its files."""
+    start = time.perf_counter()
+    record = {"name": name, "file": str(file), "note": note, "converged": False, "reason": ""}
+    record |= dict.fromkeys(("height", "width", "hull_area", "medial_axis"))
+    written = []
+    try:
+        if isinstance(image, ValueError):
+            raise image
+        mesh = build_mesh(label_image(image, wall=options.wall), options.refine)
+        parameters = {name: getattr(options, name) for name in ("n_steps", "element", "pressure", "lame")}
+        result = inflate(mesh, **parameters)
+        if options.moose is not None:
+            case = moose.write_case(mesh, options.moose, name, **parameters)
+            written += case
+            if options.engine == "moose":
+                result = moose.run_case(result, case[0])
+        record |= {"converged": result.converged, "reason": result.reason}
+        if result.converged:
+            shape = describe(result)
+            record |= {"height": shape.height, "width": shape.width, "hull_area": shape.hull_area}
+            record["medial_axis"] = shape.medial_axis.tolist()
+        if options.plot is not None:
+            written.append(export.write_picture(result, _own(options.plot, name, alone), options.colour))
+        if options.gif is not None:
+            written.append(export.write_animation(result, _own(options.gif, name, alone), options.colour))
+        if options.vtk is not None:
+            written.append(export.write_vtk(result, _own(options.vtk, name, alone))[0])
+    except (ValueError, OSError, RuntimeError) as error:
+        record["reason"] = record["reason"] or _reason(error)  # a file that cannot be written counts as well
+    return record | {"seconds": time.perf_counter() - start, "files": [str(path) for path in written]}
+
+
+def _read_picture(path):
+    """A picture of any kind as 8-bit grey."""
+    try:
+        with Image.open(path) as picture:
+            if picture.mode.startswith(("I", "F")):
+                raise ValueError(f"{path} has more than 8 bits per pixel; convert it to 8-bit grey")
+            if "A" in picture.getbands() or "transparency" in picture.info:
+                raise ValueError(f"{path} is partly transparent; say what is behind it by saving it without alpha")
+            return picture.convert("L")
+    except FileNotFoundError:
+        raise ValueError(f"{path} does not exist") from None
+    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(f"{path} cannot be read as a picture: {_reason(error)}") from None
+
+
+def _fitted(grey):
+    """A grey image in 28 × 28: its longer side scaled to 28 pixels, centred on black."""
+    height, width = grey.shape
+    scale = FRAME / max(height, width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    method = Image.Resampling.BOX if scale < 1 else Image.Resampling.BICUBIC
+    small = np.asarray(Image.fromarray(grey).resize(size, method))
+    fitted = np.zeros((FRAME, FRAME), dtype=np.uint8)
+    top, left = (FRAME - small.shape[0]) // 2, (FRAME - small.shape[1]) // 2
+    fitted[top : top + small.shape[0], left : left + small.shape[1]] = small
+    return fitted
+
+
+def _distinct(names):
+    """Names made of safe characters, each one once: a second "seven" becomes "seven-2"."""
+    seen, distinct = set(), []
+    for name in names:
+        safe = candidate = re.sub(r"[^A-Za-z0-9._-]", "_", name) or "structure"
+        number = 1
+        while candidate in seen:
+            number += 1
+            candidate = f"{safe}-{number}"
+        seen.add(candidate)
+        distinct.append(candidate)
+    return distinct
+
+
+def _own(path, name, alone):
+    """The path asked for, or with the name of the structure in it where there are several."""
+    path = Path(path)
+    return path if alone else path.with_name(f"{path.stem}_{name}{path.suffix}")
+
+
+def _reason(error):
+    """An error in one line."""
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,116 @@
+"""Simulations on a real Dask cluster of processes, with a worker killed in the middle."""
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from inflate_lib import cli, cluster, datasets, simulate_dataset
+from inflate_lib.sources import load_sevens
+
+distributed = pytest.importorskip(
+    "distributed", reason="Dask is not installed (pip install -e '.[dask]'): nothing of the cluster is checked"
+)
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]  # Dask warns about slow machines
+
+IMAGES = np.concatenate([load_sevens("digits").images[:89], np.zeros((1, 28, 28), np.uint8)])
+
+
+@pytest.fixture(scope="module")
+def dask():
+    """Two workers, each a process under a nanny that replaces it when it dies."""
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
+    with distributed.LocalCluster(**options, silence_logs=50) as local:
+        yield local.scheduler_address
+
+
+def slowly(number):
+    time.sleep(0.05)
+    return 10 * number
+
+
+def fails(number):
+    raise FloatingPointError(f"number {number} overflowed")
+
+
+def test_a_killed_worker_loses_nothing_and_doubles_nothing(dask, tmp_path, monkeypatch):
+    monkeypatch.setattr(datasets, "CHUNK", 2)
+    with distributed.Client(dask, set_as_default=False) as client:
+        pids = client.run(os.getpid)
+    assert len(pids) == 2
+    killed_at = []
+
+    def kill_one():
+        while len(list(tmp_path.glob("[0-9]*.npz"))) < 4:
+            time.sleep(0.005)
+        os.kill(next(iter(pids.values())), signal.SIGKILL)
+        killed_at.append(len(list(tmp_path.glob("[0-9]*.npz"))))
+
+    stored, real = [], datasets._store
+    monkeypatch.setattr(datasets, "_store", lambda path, rows: stored.append(path.name) or real(path, rows))
+    killer = threading.Thread(target=kill_one, daemon=True)
+    killer.start()
+    data = simulate_dataset(IMAGES, folder=tmp_path, cluster=dask, progress_text=False)
+    killer.join(5)
+    assert killed_at and killed_at[0] < 45, "the worker was not killed in the middle"
+    assert len(stored) == len(set(stored)) == 45  # each part once
+    with distributed.Client(dask, set_as_default=False) as client:
+        assert set(client.run(os.getpid).values()) != set(pids.values())
+    monkeypatch.undo()
+    xr.testing.assert_identical(data, simulate_dataset(IMAGES, n_jobs=1))  # the same numbers, in the same order
+    assert data.reason[-1].item().startswith("image is blank")
+
+    # what is there is not computed again, with no cluster at all
+    monkeypatch.setattr(datasets, "CHUNK", 2)
+    again = simulate_dataset(IMAGES, folder=tmp_path, cluster="tcp://127.0.0.1:1", progress_text=False)
+    xr.testing.assert_identical(again, data)
+
+
+def test_tasks_are_taken_as_they_are_needed(dask):
+    taken = []
+
+    def tasks():
+        for number in range(40):
+            taken.append(number)
+            yield (number,)
+
+    results = cluster.run(dask, slowly, tasks())
+    first = next(results)
+    assert len(taken) < 40
+    assert sorted([first, *results]) == [(number, 10 * number) for number in range(40)]
+
+
+def test_an_error_of_a_task_is_told(dask):
+    with pytest.raises(RuntimeError, match="number 3 overflowed"):
+        list(cluster.run(dask, fails, [(3,)]))
+
+
+def test_a_worker_with_other_code_is_refused(dask, monkeypatch):
+    monkeypatch.setattr(cluster, "_code", lambda: "other")
+    with pytest.raises(RuntimeError, match="another version of inflate_lib"):
+        list(cluster.run(dask, slowly, [(1,)]))
+
+
+def test_no_scheduler_and_no_workers_are_told(monkeypatch):
+    monkeypatch.setattr(cluster, "PATIENCE", 1)
+    with pytest.raises(RuntimeError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
+        list(cluster.run("tcp://127.0.0.1:1", slowly, [(1,)]))
+    with pytest.raises(RuntimeError, match="no Dask scheduler answers at nonsense://"):
+        list(cluster.run("nonsense://x", slowly, [(1,)]))
+    options = {"n_workers": 0, "dashboard_address": "127.0.0.1:0", "host": "127.0.0.1", "silence_logs": 50}
+    with distributed.LocalCluster(**options) as empty, pytest.raises(RuntimeError, match="has no workers"):
+        list(cluster.run(empty.scheduler_address, slowly, [(1,)]))
+
+
+def test_the_command_takes_an_address(dask, tmp_path, monkeypatch, capsys):
+    from inflate_lib import paths
+
+    monkeypatch.setattr(paths, "CACHE", tmp_path)
+    monkeypatch.setattr("sys.argv", ["inflate", "dataset", "--source", "digits", "--structures", "3", "--dask", dask])
+    with pytest.raises(SystemExit) as end:
+        cli.run()
+    assert not end.value.code and "structure: 3" in capsys.readouterr().out

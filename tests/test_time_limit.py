@@ -1,0 +1,92 @@
+"""Every structure ends in bounded time: the solver counts its factorisations and gives up with a reason."""
+
+import time
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from inflate_lib import build_mesh, inflate, inflation, label_image
+from inflate_lib.sources import load_sevens
+
+LIMIT, SECONDS = inflation.FACTORISATIONS[0], 2.0
+
+
+def random_wall(rng):
+    """A random blob with random holes, down to walls of one pixel and hinges at corners; or None where it has none."""
+    blob = ndimage.gaussian_filter(rng.random((25, 24)), rng.choice([0.7, 1, 1.5, 2, 3])) > 0.5
+    parts = ndimage.label(blob)[0]
+    body = ndimage.binary_fill_holes(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
+    label = np.zeros((28, 28))
+    label[3:, 2:26] = 0.5 * body
+    inside = ndimage.binary_erosion(label > 0, np.ones((3, 3)))
+    label[inside & (rng.random(label.shape) < rng.uniform(0.3, 1))] = 1
+    label = np.roll(label, 27 - np.flatnonzero(label.any(axis=1)).max(), axis=0)
+    try:
+        return build_mesh(label)
+    except ValueError:
+        return None
+
+
+def timed(*arguments, **options):
+    start = time.perf_counter()
+    result = inflate(*arguments, **options)
+    assert time.perf_counter() - start < SECONDS
+    assert result.factorisations <= LIMIT
+    assert result.converged == (result.reason == "") == bool(np.isfinite(result.displacement).all())
+    return result
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    inflate(label_image(load_sevens("digits").images[0]), n_steps=1)
+
+
+def test_random_walls_end_in_time():
+    rng = np.random.default_rng(0)
+    meshes = [mesh for mesh in (random_wall(rng) for _ in range(600)) if mesh is not None]
+    assert len(meshes) > 30
+    outcomes = [timed(mesh, pressure=p).converged for mesh in meshes[:60] for p in (0.01, 0.05, 1.0)]
+    assert 10 < sum(outcomes) < len(outcomes) - 10  # both kinds, or this tests nothing
+
+
+def sieve():
+    label = np.full((28, 28), 0.5)
+    label[1:-1:2, 1:-1:2] = 1
+    return label
+
+
+def solid():
+    """The most expensive mesh of 28 × 28 pixels."""
+    label = np.full((28, 28), 0.5)
+    label[10:12, 10:12] = 1
+    return label
+
+
+def on_one_pixel():
+    """A large room on a stalk of a single pixel's width: next to a mechanism."""
+    label = np.zeros((28, 28))
+    label[:14] = 0.5
+    label[1:13, 1:27] = 1
+    label[14:, 14] = 0.5
+    return label
+
+
+@pytest.mark.parametrize("shape", [sieve, solid, on_one_pixel])
+@pytest.mark.parametrize("pressure", [-0.01, 0.001, 0.05, 5.0])
+def test_extreme_structures_end_in_time(shape, pressure):
+    timed(shape(), pressure=pressure)
+
+
+def test_who_runs_out_of_effort_says_so(monkeypatch):
+    label = label_image(load_sevens("digits").images[0])
+    free = inflate(label)
+    monkeypatch.setattr(inflation, "FACTORISATIONS", (20, 2))
+    short = inflate(label)
+    assert short.factorisations == 20 and not short.converged
+    assert "within 20 factorisations" in short.reason and "load step" in short.reason
+    reached = np.isfinite(short.displacement).all(axis=(1, 2)).sum()
+    assert 0 < reached < 10 and f"load step {reached + 1} of 10" in short.reason
+    assert np.array_equal(short.displacement[:reached], free.displacement[:reached])
+    monkeypatch.setattr(inflation, "FACTORISATIONS", (20, 8))  # eight per load step are more than enough
+    assert np.array_equal(inflate(label).displacement, free.displacement)
