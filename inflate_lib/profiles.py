@@ -52,13 +52,17 @@ class Profile(BaseModel):
         return {k: {} if v is None else v for k, v in value.items()} if isinstance(value, dict) else value
 
     def parameters(self, notebook: Path) -> dict[str, Any]:
-        """All parameters of a notebook under this profile: its defaults, then `common`, then its own section."""
-        declared = declared_parameters(notebook)
-        given = {name: value for name, value in self.common.items() if name in declared}
-        given |= self.notebooks.get(notebook.stem, {})
-        if "profile" in declared:
-            given["profile"] = self.name
-        return declared | {name: _converted(value, declared[name]) for name, value in given.items()}
+        """All parameters of a notebook under this profile: its defaults, then `common`, then its own section.
+
+        Of a mapping only the entries that a layer names are replaced.
+        """
+        values = declared_parameters(notebook)
+        for layer in (self.common, self.notebooks.get(notebook.stem, {}), {"profile": self.name}):
+            for name in values.keys() & layer.keys():
+                value = _converted(layer[name], values[name])
+                both_mappings = isinstance(value, Mapping) and isinstance(values[name], Mapping)
+                values[name] = {**values[name], **value} if both_mappings else value
+        return values
 
 
 def load_profile(name: str, folder: Path | None = None) -> Profile:

@@ -193,8 +193,16 @@ def test_targets_outside_the_range_draw_a_warning_that_names_it(model):
         ({"conditions": [0.5, 15.0]}, r"shape \(m, 2\)"),
         ({"sampler": "euler"}, "'euler'"),
         ({"steps": 0}, "steps"),
+        ({"conditions": [[1.0], [1.0, 2.0]]}, "array of numbers"),
+        ({"steps": 2.5}, "steps"),
+        ({"steps": "20"}, "steps"),
         ({"eta": 1.5}, "eta"),
+        ({"eta": "1"}, "eta"),
+        ({"guidance": np.nan}, "guidance"),
+        ({"guidance": "2"}, "guidance"),
         ({"batch_size": 0}, "batch_size"),
+        ({"batch_size": 1.5}, "batch_size"),
+        ({"device": "nonsense"}, "device 'nonsense' cannot be used here"),
     ],
 )
 def test_bad_input_is_named(model, options, message):

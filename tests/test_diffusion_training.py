@@ -320,11 +320,19 @@ def test_configuration_survives_json():
         (np.full((3, 28, 28), 200.0), np.zeros((3, 1)), "between 0 and 1"),
         (np.full((3, 28, 28), np.nan), np.zeros((3, 1)), "between 0 and 1"),
         (np.zeros((3, 28, 28)), [[0.0], [np.nan], [1.0]], "finite"),
+        (np.zeros((3, 28, 28)), "abc", "arrays of numbers"),
+        (torch.zeros(3, 28, 28, requires_grad=True), np.zeros((3, 1)), "arrays of numbers"),
     ],
 )
 def test_unusable_data_are_named(images, conditions, message):
     with pytest.raises(ValueError, match=message):
         train(images, conditions, config(), progress=False)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="the device is there")
+def test_a_device_that_is_not_there_is_named():
+    with pytest.raises(ValueError, match="device 'cuda' cannot be used here"):
+        choose_device("cuda")
 
 
 def test_device_is_found_or_taken():

@@ -35,7 +35,7 @@ def test_parameters_are_defaults_then_common_then_section(notebooks, tmp_path):
     test = profile(tmp_path, f"common: {{seed: 7, rate: 1}}\nnotebooks: {{01_first: {section}}}")
     check_profile(test, notebooks)
     first = test.parameters(notebooks[0])
-    assert first.pop("options") == {"rate": 1.0}
+    assert first.pop("options") == {"rate": 1.0, "name": "ddim"}
     assert first == {"profile": "test", "seed": 7, "rate": 1.0, "channels": [8], "fast": True, "limit": 3}
     assert isinstance(first["rate"], float)
     assert test.parameters(notebooks[1]) == {"profile": "test", "seed": 7}

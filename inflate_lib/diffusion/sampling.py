@@ -4,6 +4,7 @@ The network's answer is first turned into an estimate of the clean image, which 
 then step from x_t and that estimate. Without clipping this is Eq. 10 to the letter.
 """
 
+import math
 import warnings
 from collections.abc import Callable, Iterator
 
@@ -24,8 +25,8 @@ def timesteps(T: int, steps: int) -> list[int]:
 
     This is the spacing called "trailing": a sampler must begin where its input, pure noise, belongs.
     """
-    if not 1 <= steps <= T:
-        raise ValueError(f"steps must be between 1 and {T}, not {steps}")
+    if not isinstance(steps, int | np.integer) or not 1 <= steps <= T:
+        raise ValueError(f"steps must be a whole number between 1 and {T}, not {steps!r}")
     return (np.round(np.arange(T, 0, -T / steps)).astype(int) - 1).tolist()[:steps]
 
 
@@ -153,10 +154,12 @@ def generate(
         Wrong number of descriptors, or one that is not finite; unknown sampler; impossible number of steps.
     """
     scaled = torch.from_numpy(model.scaled(_checked(model, conditions))).float()
-    if not 0 <= eta <= 1:
-        raise ValueError(f"eta must be between 0 and 1, not {eta}")
-    if batch_size < 1:
-        raise ValueError(f"batch_size must be at least 1, not {batch_size}")
+    if not isinstance(eta, int | float) or not 0 <= eta <= 1:
+        raise ValueError(f"eta must be between 0 and 1, not {eta!r}")
+    if not isinstance(guidance, int | float) or not math.isfinite(guidance):
+        raise ValueError(f"guidance must be a finite number, not {guidance!r}")
+    if not isinstance(batch_size, int | np.integer) or batch_size < 1:
+        raise ValueError(f"batch_size must be a whole number of at least 1, not {batch_size!r}")
     place = choose_device(device)
     net, size = model.net.to(place).eval(), model.image_size
     states = []
@@ -189,7 +192,10 @@ def _noise(seed: int, rows: range, size: tuple[int, int], device: torch.device) 
 
 
 def _checked(model: TrainedModel, conditions: np.ndarray) -> np.ndarray:
-    conditions = np.asarray(conditions, dtype=np.float64)
+    try:
+        conditions = np.asarray(conditions, dtype=np.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"conditions must be an array of numbers ({error})") from None
     wanted = len(model.condition_min)
     if conditions.ndim == 1 and wanted == 1:
         conditions = conditions[:, None]

@@ -19,7 +19,10 @@ CHECKPOINT = "checkpoint.safetensors"
 def choose_device(name: str = "auto") -> torch.device:
     """The device called ``name``; "auto" is CUDA where there is one, else MPS (the paper's), else the CPU."""
     if name != "auto":
-        return torch.device(name)
+        try:
+            return torch.empty(0, device=name).device
+        except (RuntimeError, AssertionError, TypeError) as error:
+            raise ValueError(f"device {name!r} cannot be used here: {error}") from None
     if torch.cuda.is_available():
         return torch.device("cuda")
     return torch.device("mps" if torch.backends.mps.is_available() else "cpu")
@@ -193,7 +196,10 @@ class _Run:
         storage.write(self.path, "checkpoint", tensors, content)
 
     def restore(self) -> None:
-        tensors, content = storage.read(self.path, "checkpoint")
+        try:
+            tensors, content = storage.read(self.path, "checkpoint")
+        except ValueError as error:
+            raise ValueError(f"{error}; delete the file to start over") from None
         if {name: content[name] for name in self.identity} != self.identity:
             raise ValueError(
                 f"{self.path} belongs to a run with another configuration or other data; "
@@ -250,7 +256,10 @@ def to_network(images: Tensor) -> Tensor:
 
 
 def _checked(images, conditions, config: TrainingConfig) -> tuple[np.ndarray, np.ndarray]:
-    images, conditions = np.ascontiguousarray(images), np.asarray(conditions, dtype=np.float64)
+    try:
+        images, conditions = np.ascontiguousarray(images), np.asarray(conditions, dtype=np.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"images and conditions must be arrays of numbers ({error})") from None
     if conditions.ndim == 1:
         conditions = conditions[:, None]
     cell = 2 ** (len(config.channels) - 1)
