@@ -105,7 +105,7 @@ class Inflation:
         """
         F, J = self.deformation_gradient, None
         if self.element == "mean-dilatation":
-            J = np.linalg.det(F)
+            J = F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
             _, weights = shape_gradients(self.nodes[self.cells])
             J = np.broadcast_to(np.average(J, axis=-1, weights=np.broadcast_to(weights, J.shape))[..., None], J.shape)
         return material.first_piola_kirchhoff(F, self.lame, J)
