@@ -5,8 +5,10 @@ Nothing is dropped: an image that gives no structure, or a structure without an 
 """
 
 import os
+import platform
 import zlib
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -278,8 +280,8 @@ def _assemble(parts, n_steps):
         "pressure": inflation.PRESSURE,
         "load_steps": n_steps,
         "inflate_lib": inflate_lib.__version__,
-        "numpy": np.__version__,
-        "xarray": xr.__version__,
+        **{package: version(package) for package in ("numpy", "scipy", "numba", "xarray")},
+        "python": platform.python_version(),
         "references": "arXiv:2508.13097, section 3",
     }
     return data
