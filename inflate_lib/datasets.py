@@ -17,7 +17,7 @@ import xarray as xr
 from joblib import Parallel, delayed
 
 import inflate_lib
-from inflate_lib import contact, descriptors, inflation, material, mesh, progress, skyline, sources, structures
+from inflate_lib import contact, descriptors, inflation, material, mesh, progress, sources, sparse, structures
 from inflate_lib.cache import cached, code_version, digest
 from inflate_lib.descriptors import AXIS_POINTS
 
@@ -121,7 +121,7 @@ def simulated_sevens(source="auto", n_structures=None, n_jobs=-1, cluster=None):
 def simulated_sevens_file(source="auto", n_structures=None, n_jobs=-1, cluster=None):
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
     sevens = sources.load_sevens(source, limit=n_structures)
-    code = code_version(structures, mesh, skyline, material, inflation, descriptors, contact, __name__)
+    code = code_version(structures, mesh, sparse, material, inflation, descriptors, contact, __name__)
 
     def make(target, scratch):
         data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch, cluster=cluster)

@@ -11,7 +11,7 @@ import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs
 from sklearn.metrics import r2_score
 
-from inflate_lib import augmentation, datasets, descriptors, diffusion, inflation, material, mesh, skyline, structures
+from inflate_lib import augmentation, datasets, descriptors, diffusion, inflation, material, mesh, sparse, structures
 from inflate_lib.augmentation import apply_variants, augment, augment_descriptors
 from inflate_lib.cache import cached, code_version, digest
 from inflate_lib.descriptors import check_name, descriptor_matrix
@@ -173,7 +173,7 @@ def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mappin
         "n_per_target": n_per_target,
         "sampling": sampling,
         "seed": seed,
-        "code": code_version(diffusion, structures, mesh, skyline, material, inflation, descriptors, __name__),
+        "code": code_version(diffusion, structures, mesh, sparse, material, inflation, descriptors, __name__),
     }
     return datasets.load_dataset(cached("experiment", key, make, ".nc"))
 

@@ -13,6 +13,7 @@ from scipy.integrate import solve_bvp
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import ConvexHull
+from test_sparse import places
 
 from inflate_lib import build_mesh, describe, inflate, inflation, label_image
 from inflate_lib.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, Inflation, shape_gradients
@@ -47,15 +48,19 @@ def assemble(mesh, positions, element, p=0.0):
     inflation._gather(x, s.edges, s.edges_fixed, edge_corners)
     J, c = np.empty((len(s.cells), s.weights.shape[1])), np.empty((len(s.cells), s.weights.shape[1], 4, 2))
     inflation._dilatations(corners, s.kind, s.dilatation, J, c)
-    r, values = np.empty(n), np.empty(len(s.constant))
-    inflation._residual(corners, s.cells, s.kind, s.stiffness, s.weights, J, c, s.edges, edge_corners, LAMBDA, MU, p, r)
+    r, blocks, log_j = np.empty(n), np.empty(s.constant.shape), np.log(J)
+    inflation._residual(
+        corners, s.cells, s.kind, s.stiffness, s.weights, J, log_j, c, s.edges, edge_corners, LAMBDA, MU, p, r
+    )
     inflation._tangent(
-        values, s.constant, s.pressure, s.cells, s.kind, s.dilatation, s.weights, J, c, LAMBDA * np.log(J), 1.0,
-        LAMBDA, MU, p, s.offset,
+        blocks, s.constant, s.pressure, s.cells, s.kind, s.dilatation, s.weights, s.place, J, c, LAMBDA * log_j, 1.0,
+        LAMBDA, MU, p,
     )  # fmt: skip
-    K = np.zeros((n, n))
-    for i in range(n):
-        K[i, s.first[i] : i + 1] = K[s.first[i] : i + 1, i] = values[s.offset[i] + s.first[i] : s.offset[i] + i + 1]
+    K = np.zeros((n // 2, n // 2, 2, 2))
+    rows, columns = places(s.pattern)
+    K[rows, columns] = blocks.reshape(-1, 2, 2)
+    K = np.tril(K.transpose(0, 2, 1, 3).reshape(n, n))
+    K += np.tril(K, -1).T
     residual, unknown = np.zeros_like(positions), (2 * s.order[:, None] + [0, 1]).ravel()
     residual[s.order] = r.reshape(-1, 2)
     tangent = np.zeros((2 * len(mesh.nodes),) * 2)
