@@ -138,5 +138,5 @@ def test_clamped_must_be_an_edge(edge):
 
 
 def test_the_edge_that_no_wall_reaches_is_named():
-    with pytest.raises(ValueError, match="nothing is clamped.*right edge"):
+    with pytest.raises(ValueError, match=r"nothing is clamped.*right edge"):
         build_mesh(hook(), clamped="right")

@@ -140,7 +140,10 @@ def test_structure_at_each_edge():
         ("bottom", (17, 27), (2, 8)), ("top", (0, 10), (2, 8)), ("left", (1, 11), (0, 6)), ("right", (1, 11), (21, 27)),
     ):  # fmt: skip
         filled = np.argwhere(label_image(image, clamped=edge))
-        assert (filled.min(axis=0).tolist(), filled.max(axis=0).tolist()) == tuple(map(list, zip(rows, columns)))
+        assert (filled.min(axis=0).tolist(), filled.max(axis=0).tolist()) == (
+            [rows[0], columns[0]],
+            [rows[1], columns[1]],
+        )
 
 
 def test_uint8_bool_and_float_agree():
