@@ -42,16 +42,16 @@ def plot_load_steps(result, steps=(1, 3, 5, 7, 9)):
     return fig
 
 
-def plot_response(times, curves):
-    """Height, width and hull area over t; `curves` maps what to call a curve to its (steps, 3) values."""
+def plot_response(values, curves, label="time $t$, pressure $0.01\\,t$"):
+    """Height, width and hull area over t, or what `label` says; `curves` maps names to (steps, 3) values."""
     fig, axes = figure(1, 3, height=5.2, sharex=True)
     styles = ("-", "--", ":", "-.")
     for column, (ax, title) in enumerate(zip(axes, ("height $h$", "width $w$", "hull area $A$"), strict=True)):
-        for (name, values), style, marker in zip(curves.items(), styles, "os^v", strict=False):
-            ax.plot(times, values[:, column], style, marker=marker, markersize=3, label=name)
-        ax.set_xlabel("time $t$, pressure $0.01\\,t$")
+        for (name, sizes), style, marker in zip(curves.items(), styles, "os^v", strict=False):
+            ax.plot(values, sizes[:, column], style, marker=marker, markersize=3, label=name)
+        ax.set_xlabel(label)
         ax.set_ylabel(title)
-    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
     return fig
 
 
