@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from inflate_lib import exodus
-from inflate_lib.inflation import LAMBDA, MAX_HALVINGS, MU, PRESSURE, load_history
+from inflate_lib.inflation import ELEMENTS, LAMBDA, MAX_HALVINGS, MU, PRESSURE, load_history
 
 #: Programs that contain MOOSE's solid mechanics, in the order in which they are looked for.
 PROGRAMS = ("solid_mechanics-opt", "combined-opt")
@@ -139,6 +139,8 @@ _INPUT = """\
 
 def input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
     """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`."""
+    if element not in ELEMENTS:
+        raise ValueError(f"element must be one of {', '.join(ELEMENTS)}, not {element!r}")
     lam, mu = (float(value) for value in lame)
     times, pressures = load_history(pressure, n_steps)
     return _INPUT.format(

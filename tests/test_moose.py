@@ -104,8 +104,9 @@ def test_input_takes_the_history_that_we_take():
     assert numbers(case["Functions"]["inflation"]["y"]) == [0, *pressures]
     result = inflate(LABEL, pressure=np.array([0.01, 0.002, 0.005, 0]))
     assert numbers(case["Functions"]["inflation"]["x"]) == [0, *result.load_steps]
-    with pytest.raises(ValueError, match="pressure"):
-        moose.input_text("a", pressure=[])
+    for name, wrong in (("pressure", []), ("n_steps", 0), ("element", "q2")):
+        with pytest.raises(ValueError, match=name):
+            moose.input_text("a", **{name: wrong})
 
 
 @pytest.mark.parametrize("name", ["", "two words", "a/b", "it's"])
