@@ -17,6 +17,7 @@ symmetric, and cheap to assemble. Elements differ only in where J is taken: at t
 locks, because λ/μ = 100) or once per element as its mean (``"mean-dilatation"``, the default, which does not).
 """
 
+import reprlib
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -52,9 +53,9 @@ class Inflation:
     element : str
         ``"mean-dilatation"`` or ``"q1"``.
     load_steps : (steps,) float
-        Times t of the load steps; the pressure is ``PRESSURE * t`` unless another one was asked for.
+        Times t of the load steps, equally spaced up to t = 1.
     pressures : (steps,) float
-        Internal pressure at each load step.
+        Internal pressure at each load step: ``PRESSURE * t`` unless another one, or a history, was asked for.
     displacement : (steps, n, 2) float
         Nodal displacement at each load step; NaN from the first load step that did not converge.
     converged : bool
@@ -112,23 +113,28 @@ class Inflation:
         return material.first_piola_kirchhoff(F, self.lame, J)
 
 
-def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU)):
+def inflate(
+    label, n_steps=None, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU), clamped="bottom"
+):
     """Inflate a structure given as a label image.
 
     Parameters
     ----------
     label : (s, s) array_like or Mesh
         Labels 0 (outside), 0.5 (wall), 1 (void), from :func:`inflate_lib.label_image`; or a mesh.
-    n_steps : int
-        Equal load steps t = 1/n, …, 1 (the paper: ten).
+    n_steps : int, optional
+        Equal load steps t = 1/n, …, 1. Ten, as in the paper; or as many as the pressure history has entries.
     element : {"mean-dilatation", "q1"}
         Bilinear quadrilateral with the mean dilatation of Simo, Taylor and Pister (no locking), or plain.
     refine : int
         Sub-elements per pixel and direction; a mesh is taken as it is.
-    pressure : float
-        Internal pressure at t = 1.
+    pressure : float or sequence of float
+        Internal pressure at t = 1, which it grows to in proportion to t; or a history, one pressure per load step,
+        which may rise and fall.
     lame : (float, float)
         Lamé parameters (λ, μ).
+    clamped : {"bottom", "left", "top", "right"}
+        Edge of the image that is held; a mesh has its own. Make the label image with the same edge.
 
     Returns
     -------
@@ -143,30 +149,53 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
     """
     if element not in ELEMENTS:
         raise ValueError(f"element must be one of {', '.join(ELEMENTS)}, not {element!r}")
-    check_steps(n_steps)
+    times, pressures = load_history(pressure, n_steps)
     lam, mu = _numbers("lame", lame, 2, "two positive numbers (λ, μ)")
     if lam <= 0 or mu <= 0:
         raise ValueError(f"lame must be two positive numbers (λ, μ), not {lame!r}")
-    (pressure,) = _numbers("pressure", [pressure], 1, "a finite number")
-    mesh = label if isinstance(label, Mesh) else build_mesh(label, refine)
+    mesh = label if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
 
     system = _System.of(mesh, element, mu)
-    times = np.arange(1, n_steps + 1) / n_steps
+    n_steps = len(pressures)
     allowed = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps)
-    positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressure * times, allowed)
+    positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressures, allowed)
     displacement = np.full((n_steps, *mesh.nodes.shape), np.nan)
     displacement[:reached] = 0.0
     free_positions = positions.reshape(n_steps, len(system.order), 2)[:reached]
     displacement[:reached, system.order] = free_positions - mesh.nodes[system.order]
     reason = ""
     if reached < n_steps:
-        last = pressure * times[reached]
-        reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {last:.4g})"
+        reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {pressures[reached]:.4g})"
         if factorisations >= allowed:
             reason += f" within {allowed} factorisations"
     return Inflation(
-        mesh, element, times, pressure * times, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
+        mesh, element, times, pressures, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
     )
+
+
+def load_history(pressure, n_steps=None):
+    """Times t and pressures of the load steps, (steps,) each; `pressure` and `n_steps` are those of :func:`inflate`.
+
+    Raises
+    ------
+    ValueError
+        Where they are no pressure, no history or no number of steps, or contradict each other.
+    """
+    if n_steps is not None:
+        check_steps(n_steps)
+    try:
+        pressures = np.array(pressure, dtype=float)
+    except (TypeError, ValueError, RuntimeError):  # the last from tensors that NumPy cannot take
+        pressures = np.array(np.nan)
+    if pressures.ndim > 1 or not 1 <= pressures.size <= 10_000 or not np.isfinite(pressures).all():
+        shown = reprlib.repr(pressure)
+        raise ValueError(f"pressure must be a finite number, or a history of 1 to 10000 of them, not {shown}")
+    is_history = pressures.ndim == 1
+    if is_history and n_steps not in (None, pressures.size):
+        raise ValueError(f"n_steps is {n_steps}, but the pressure history has {pressures.size} entries: leave it out")
+    n_steps = pressures.size if is_history else n_steps or 10
+    times = np.arange(1, n_steps + 1) / n_steps
+    return times, pressures if is_history else float(pressures) * times
 
 
 def check_steps(n_steps):
@@ -182,7 +211,7 @@ def _numbers(name, values, count, wanted):
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ValueError(f"{name} must be {wanted}, not {values if count > 1 else values[0]!r}")
+        raise ValueError(f"{name} must be {wanted}, not {values!r}")
     return numbers
 
 

@@ -35,6 +35,7 @@ GOLDEN = {
         "tube_error_percent": (0.8167559, 1e-6),
         "arch_pairs": (8, 0),
     },
+    "14_tools": {"drawing_height": (1.1598597797, 1e-8), "softer_percent": (3.4038248626, 1e-6)},
 }
 
 
