@@ -33,6 +33,8 @@ ELEMENTS = ("mean-dilatation", "q1")
 MAX_ITERATIONS = 40  # Newton iterations of one load step
 MAX_HALVINGS = 6  # of a load step that does not converge
 FACTORISATIONS = 1000, 100  # allowed in all, or per load step if that is more; MNIST's sevens take at most 264 in ten
+SPEED = 1e9  # multiply-adds per second of the nominal core that turns a time limit into a number of factorisations
+ASSEMBLY = 200  # multiply-adds per element and factorisation
 MAX_MOVE = 0.1  # largest nodal move of one Newton iteration, in lengths of the unit square
 MIN_J = 0.05  # smallest area ratio allowed on the way
 TOLERANCE = 1e-8  # largest nodal move of a full Newton step at which it counts as converged (the next would be < 1e-12)
@@ -111,7 +113,9 @@ class Inflation:
         return material.first_piola_kirchhoff(F, self.lame, J)
 
 
-def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU)):
+def inflate(
+    label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU), time_limit=None
+):
     """Inflate a structure given as a label image.
 
     Parameters
@@ -128,6 +132,9 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
         Internal pressure at t = 1.
     lame : (float, float)
         Lamé parameters (λ, μ).
+    time_limit : float, optional
+        Seconds after which to give up, counted on a nominal core of `SPEED`: it becomes a number of factorisations,
+        from the size of the mesh, so that the outcome depends neither on the machine nor on its load.
 
     Returns
     -------
@@ -147,11 +154,17 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
     if lam <= 0 or mu <= 0:
         raise ValueError(f"lame must be two positive numbers (λ, μ), not {lame!r}")
     (pressure,) = _numbers("pressure", [pressure], 1, "a finite number")
+    check_time_limit(time_limit)
     mesh = label if isinstance(label, Mesh) else build_mesh(label, refine)
 
     system = _System.of(mesh, element, mu)
     times = np.arange(1, n_steps + 1) / n_steps
-    allowed = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps)
+    allowed, limit = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps), ""
+    if time_limit is not None:
+        row_lengths = np.arange(len(system.first)) - system.first
+        one = 0.5 * np.sum(row_lengths**2) + ASSEMBLY * len(system.cells)  # multiply-adds
+        if time_limit * SPEED / one < allowed:
+            allowed, limit = max(1, int(time_limit * SPEED / one)), f", the time limit of {time_limit:g} s"
     positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressure * times, allowed)
     displacement = np.full((n_steps, *mesh.nodes.shape), np.nan)
     displacement[:reached] = 0.0
@@ -162,7 +175,7 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
         last = pressure * times[reached]
         reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {last:.4g})"
         if factorisations >= allowed:
-            reason += f" within {allowed} factorisations"
+            reason += f" within {allowed} factorisations{limit}"
     return Inflation(
         mesh, element, times, pressure * times, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
     )
@@ -172,6 +185,14 @@ def check_steps(n_steps):
     """Raise a ValueError where `n_steps` is no number of load steps."""
     if isinstance(n_steps, bool) or not isinstance(n_steps, int | np.integer) or not 1 <= n_steps <= 10_000:
         raise ValueError(f"n_steps must be a whole number from 1 to 10000, not {n_steps!r}")
+
+
+def check_time_limit(seconds):
+    """Raise a ValueError where `seconds` is neither None nor a positive number."""
+    if seconds is not None:
+        (number,) = _numbers("time_limit", [seconds], 1, "a positive number of seconds")
+        if isinstance(seconds, bool) or number <= 0:
+            raise ValueError(f"time_limit must be a positive number of seconds, not {seconds!r}")
 
 
 def _numbers(name, values, count, wanted):
