@@ -160,11 +160,8 @@ def inflate(
     system = _System.of(mesh, element, mu)
     times = np.arange(1, n_steps + 1) / n_steps
     allowed, limit = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps), ""
-    if time_limit is not None:
-        row_lengths = np.arange(len(system.first)) - system.first
-        one = 0.5 * np.sum(row_lengths**2) + ASSEMBLY * len(system.cells)  # multiply-adds
-        if time_limit * SPEED / one < allowed:
-            allowed, limit = max(1, int(time_limit * SPEED / one)), f", the time limit of {time_limit:g} s"
+    if time_limit is not None and time_limit < allowed * nominal_seconds(system):
+        allowed, limit = int(time_limit / nominal_seconds(system)), f", the time limit of {time_limit:g} s"
     positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressure * times, allowed)
     displacement = np.full((n_steps, *mesh.nodes.shape), np.nan)
     displacement[:reached] = 0.0
@@ -179,6 +176,12 @@ def inflate(
     return Inflation(
         mesh, element, times, pressure * times, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
     )
+
+
+def nominal_seconds(system):
+    """Seconds that one factorisation of a system's tangent, assembled and used, takes on the nominal core."""
+    row_lengths = np.arange(len(system.first)) - system.first
+    return (0.5 * np.sum(row_lengths**2) + ASSEMBLY * len(system.cells)) / SPEED
 
 
 def check_steps(n_steps):
