@@ -57,15 +57,13 @@ def run_and_kill(folder, images, backend, kills, seed=0):
         before, known = stored(), len(simulated())
         pieces = len(before) + rng.integers(1, max(2, len(numbers) // (kills + 1)))
         process = subprocess.Popen(command, start_new_session=True)
-        try:
-            limit = time.monotonic() + 120
-            while len(stored()) < pieces and process.poll() is None and time.monotonic() < limit:
-                time.sleep(0.001)
-            time.sleep(rng.uniform(0, 0.1))
-            os.kill(process.pid, signal.SIGKILL)
-            process.wait()
-        finally:
-            os.killpg(process.pid, signal.SIGKILL)  # loky's processes would wait five minutes for more work
+        limit = time.monotonic() + 120
+        while len(stored()) < pieces and process.poll() is None and time.monotonic() < limit:
+            time.sleep(0.001)
+        time.sleep(rng.uniform(0, 0.1))
+        os.kill(process.pid, signal.SIGKILL)
+        os.killpg(process.pid, signal.SIGKILL)  # loky's processes would wait five minutes for more work
+        process.wait()
         assert process.returncode == -signal.SIGKILL, "the run ended before it was killed"
         assert not before & set(simulated()[known:])
         stored_at_kills.append(len(stored()))
