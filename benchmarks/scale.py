@@ -35,8 +35,8 @@ def bare_loop(images, n_steps):
     for image in images:
         result = inflation.inflate(structures.label_image(image), n_steps=n_steps)
         descriptors.describe(result)
-        contact.self_contact(result)
-        contact.first_contact(result)
+        if contact.first_contact(result) is not None:
+            contact.self_contact(result)
 
 
 def nominal_second(images):
@@ -90,7 +90,9 @@ def row(way, n_steps, n, cores, taken, bare=np.nan):
 
 
 def main(
-    n_structures: Annotated[int, typer.Option("--structures", help="Sevens with which the ways to work are compared.")] = 640,
+    n_structures: Annotated[
+        int, typer.Option("--structures", help="Sevens with which the ways to work are compared.")
+    ] = 640,
     repeats: Annotated[int, typer.Option(help="Rounds; the median counts.")] = 3,
     whole: Annotated[bool, typer.Option(help="Then time all sevens on two processes.")] = True,
 ):

@@ -302,9 +302,8 @@ def _simulate(images, reasons, n_steps, time_limit):
         rows["converged"][i] = True
         rows["height"][i], rows["width"][i], rows["hull_area"][i] = shape.height, shape.width, shape.hull_area
         rows["medial_axis"][i] = shape.medial_axis
-        rows["self_contact"][i] = contact.self_contact(result)
-        first = contact.first_contact(result)
-        rows["contact_step"][i] = 0 if first is None else first + 1
+        if (first := contact.first_contact(result)) is not None:
+            rows["contact_step"][i], rows["self_contact"][i] = first + 1, contact.self_contact(result)
     rows["reason"] = np.array(rows["reason"])
     return rows
 
