@@ -68,15 +68,15 @@ def simulate_dataset(images, n_jobs=None, n_steps=10, progress_text=True, folder
         ``joblib.parallel_config`` says, else local processes (loky). The data set is the same to the last bit.
     time_limit : float, optional
         Seconds of a nominal core after which a structure is given up, see :func:`inflate_lib.inflate`; by default 1,
-        or 0.1 per load step if that is more. MNIST's sevens take at most 0.06 of it in ten load steps.
+        or 0.1 per load step if that is more.
 
     Returns
     -------
     xarray.Dataset
         One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged),
         height, width, hull_area, medial_axis (structure, point, axis), factorisations, self_contact, contact_step
-        (see :mod:`inflate_lib.contact`). Descriptors are in lengths and
-        areas of the unit square, NaN where not converged.
+        (see :mod:`inflate_lib.contact`). Descriptors are in lengths and areas of the unit square, NaN where not
+        converged.
 
     Raises
     ------
