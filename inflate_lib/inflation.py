@@ -34,6 +34,8 @@ ELEMENTS = ("mean-dilatation", "q1")
 MAX_ITERATIONS = 40  # Newton iterations of one load step
 MAX_HALVINGS = 6  # of a load step that does not converge
 FACTORISATIONS = 1000, 100  # allowed in all, or per load step if that is more; MNIST's sevens take at most 264 in ten
+SPEED = 1.5e9  # multiply-adds per second of the nominal core that turns a time limit into a number of factorisations
+ASSEMBLY = 300  # multiply-adds per element and factorisation
 MAX_MOVE = 0.1  # largest nodal move of one Newton iteration, in lengths of the unit square
 MIN_J = 0.05  # smallest area ratio allowed on the way
 TOLERANCE = 1e-11  # largest nodal move of the next iteration, were it to come, at which a load step has converged
@@ -114,8 +116,9 @@ class Inflation:
 
 
 def inflate(
-    label, n_steps=None, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU), clamped="bottom"
-):
+    label, n_steps=None, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU), clamped="bottom",
+    time_limit=None,
+):  # fmt: skip
     """Inflate a structure given as a label image.
 
     Parameters
@@ -135,6 +138,9 @@ def inflate(
         Lamé parameters (λ, μ).
     clamped : {"bottom", "left", "top", "right"}
         Edge of the image that is held; a mesh has its own. Make the label image with the same edge.
+    time_limit : float, optional
+        Seconds after which to give up, counted on a nominal core of `SPEED`: it becomes a number of factorisations,
+        from the size of the mesh, so that the outcome depends neither on the machine nor on its load.
 
     Returns
     -------
@@ -153,11 +159,14 @@ def inflate(
     lam, mu = _numbers("lame", lame, 2, "two positive numbers (λ, μ)")
     if lam <= 0 or mu <= 0:
         raise ValueError(f"lame must be two positive numbers (λ, μ), not {lame!r}")
+    check_time_limit(time_limit)
     mesh = label if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
 
     system = _System.of(mesh, element, mu)
     n_steps = len(pressures)
-    allowed = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps)
+    allowed, limit = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps), ""
+    if time_limit is not None and time_limit < allowed * nominal_seconds(system):
+        allowed, limit = int(time_limit / nominal_seconds(system)), f", the time limit of {time_limit:g} s"
     positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressures, allowed)
     displacement = np.full((n_steps, *mesh.nodes.shape), np.nan)
     displacement[:reached] = 0.0
@@ -167,7 +176,7 @@ def inflate(
     if reached < n_steps:
         reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {pressures[reached]:.4g})"
         if factorisations >= allowed:
-            reason += f" within {allowed} factorisations"
+            reason += f" within {allowed} factorisations{limit}"
     return Inflation(
         mesh, element, times, pressures, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
     )
@@ -198,10 +207,23 @@ def load_history(pressure, n_steps=None):
     return times, pressures if is_history else float(pressures) * times
 
 
+def nominal_seconds(system):
+    """Seconds that one factorisation of a system's tangent, assembled and used, takes on the nominal core."""
+    return (system.pattern.multiplications + ASSEMBLY * len(system.cells)) / SPEED
+
+
 def check_steps(n_steps):
     """Raise a ValueError where `n_steps` is no number of load steps."""
     if isinstance(n_steps, bool) or not isinstance(n_steps, int | np.integer) or not 1 <= n_steps <= 10_000:
         raise ValueError(f"n_steps must be a whole number from 1 to 10000, not {n_steps!r}")
+
+
+def check_time_limit(seconds):
+    """Raise a ValueError where `seconds` is neither None nor a positive number."""
+    if seconds is not None:
+        (number,) = _numbers("time_limit", [seconds], 1, "a positive number of seconds")
+        if isinstance(seconds, bool) or number <= 0:
+            raise ValueError(f"time_limit must be a positive number of seconds, not {seconds!r}")
 
 
 def _numbers(name, values, count, wanted):
