@@ -35,6 +35,7 @@ GOLDEN = {
         "tube_error_percent": (0.8167559, 1e-6),
         "arch_pairs": (8, 0),
     },
+    "15_speed": {"factorisations_ten": (270, 0), "factorisations_one": (58, 0)},
 }
 
 
