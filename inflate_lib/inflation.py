@@ -525,10 +525,8 @@ def _march(
                         if pinned[i, k]:
                             step[2 * i + k] = 0.0
                 sparse.solve(pattern, blocks, inverses, step)
-                length = 0.0
-                for i in range(2 * n):
-                    step[i] = -step[i]
-                    length = max(length, abs(step[i]))
+                step *= -1.0
+                length = np.max(np.abs(step))  # NaN where there is one
                 if not np.isfinite(length):
                     break
                 _gather(step, cells, no_edges_move, moves)
