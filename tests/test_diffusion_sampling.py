@@ -130,7 +130,7 @@ def test_without_clipping_the_ancestral_step_is_equation_10(step):
     torch.testing.assert_close(ancestral_step(SCHEDULE, x0, x, t, fresh), expected, rtol=1e-7, atol=1e-7)
 
 
-@pytest.mark.parametrize("eta", [0.0, 1.0])
+@pytest.mark.parametrize("eta", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("objective", process.OBJECTIVES)
 def test_ddim_chain_agrees_with_diffusers(objective, eta):
     options = {"timestep_spacing": "trailing", "prediction_type": PREDICTION_TYPES[objective]}
