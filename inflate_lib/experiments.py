@@ -30,7 +30,8 @@ def training_pairs(data, descriptor, n_augmented, seed=0):
     Parameters
     ----------
     data : xarray.Dataset
-        Simulated structures; those that did not converge are left out.
+        Simulated structures, all of them; those that did not converge and those of
+        :func:`inflate_lib.datasets.held_out` are left out.
     descriptor : str
         "height", "width", "box", "area" or "axis".
     n_augmented : int
@@ -43,7 +44,8 @@ def training_pairs(data, descriptor, n_augmented, seed=0):
     images : (m, 28, 28) uint8
     conditions : (m, N) float
     """
-    data = data.isel(structure=np.flatnonzero(data["converged"].values))
+    kept = data["converged"].values & ~datasets.held_out(data.sizes["structure"])
+    data = data.isel(structure=np.flatnonzero(kept))
     images = data["image"].values
     possible = len(augment(images))
     variants = augment(images, min(n_augmented, possible), seed=seed)
