@@ -1,12 +1,17 @@
 """Experiments: what models are trained on, and which weights are used."""
 
+import shutil
+
 import numpy as np
 import pytest
 import xarray as xr
 
+from inflate_lib import experiments, paths
 from inflate_lib.augmentation import apply_variants, augment
+from inflate_lib.cache import RETRAIN
 from inflate_lib.datasets import held_out
-from inflate_lib.experiments import training_pairs
+from inflate_lib.diffusion import TrainedModel
+from inflate_lib.experiments import train_models, trained_models, training_cost, training_pairs
 from inflate_lib.sources import load_sevens
 
 
@@ -51,3 +56,99 @@ def test_the_split_follows_the_position_in_the_whole_data_set(data):
     failed = data.assign(converged=("structure", np.arange(40) >= 5))
     kept = set(training_pairs(failed, "height", 100)[1][:, 0].astype(int))
     assert kept == set(range(5, 40)) - {9, 19, 29, 39}
+
+
+# --- which weights -------------------------------------------------------------------------------------------------
+
+TRAINING = {"channels": [4, 8], "embedding": 16, "steps": 4, "batch_size": 8, "learning_rate": 1e-3}
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    """A checkout with trained weights of one descriptor."""
+    home = tmp_path_factory.mktemp("home")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paths, "CACHE", home / "cache")
+        file = train_models(["box"], TRAINING, data, 100, log=home / "logs")["box"]
+    model = TrainedModel.load(file)
+    model.metadata |= {"profile": "small"}
+    model.save(home / "data" / "pretrained" / "small" / "box.safetensors", half=True)
+    return home
+
+
+@pytest.fixture
+def home(trained, tmp_path, monkeypatch):
+    """A copy of it with an empty cache, in which every attempt to train is an error."""
+    shutil.copytree(trained / "data", tmp_path / "data")
+    monkeypatch.setattr(paths, "ROOT", tmp_path)
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path / "data" / "pretrained")
+    monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
+    monkeypatch.delenv(RETRAIN, raising=False)
+
+    def no_training(names, *_):
+        raise RuntimeError(f"would train {names}")
+
+    monkeypatch.setattr(experiments, "train_models", no_training)
+    return tmp_path
+
+
+def test_weights_tell_what_they_were_made_from(trained):
+    model = TrainedModel.load(trained / "data" / "pretrained" / "small" / "box.safetensors")
+    about = model.metadata
+    assert about["descriptor"] == "box" and about["source"] == "digits" and about["profile"] == "small"
+    assert about["structures"] == 39 and about["pairs"] == about["n_augmented"] == 100
+    assert about["held_out"] == "index % 10 == 9" and about["held_out_loss"] > 0 and about["seconds"] > 0
+    assert model.config.channels == (4, 8) and len(model.condition_min) == 2
+    rows = (trained / "logs" / "box" / "history.csv").read_text().splitlines()
+    assert rows[0] == "step,loss,simple,vlb,seconds"
+    np.testing.assert_allclose([float(row.split(",")[1]) for row in rows[1:]], model.history["loss"])
+
+
+def test_committed_weights_are_used_where_they_fit(home, data, capsys):
+    models = trained_models(["box"], {**TRAINING, "device": "cpu", "checkpoint_every": 3}, data, 100)
+    assert models["box"].metadata["profile"] == "small"
+    assert capsys.readouterr().out == "weights from data/pretrained/small: box\n"
+
+
+def test_other_digits_of_the_simulation_are_no_other_data(home, data):
+    jittered = data.assign(height=data["height"] * (1 + 1e-9))
+    assert trained_models(["box"], TRAINING, jittered, 100)
+
+
+@pytest.mark.parametrize("what", ["recipe", "seed", "pairs", "images", "simulation", "retrain"])
+def test_and_not_where_they_do_not(home, data, monkeypatch, capsys, what):
+    training, n_augmented, seed = TRAINING, 100, 0
+    if what == "recipe":
+        training = {**TRAINING, "learning_rate": 2e-3}
+    elif what == "seed":
+        seed = 1
+    elif what == "pairs":
+        n_augmented = 101
+    elif what == "images":
+        data = data.assign(image=data["image"][::-1])
+    elif what == "simulation":
+        data = data.assign(height=data["height"] * 1.001)
+    else:
+        monkeypatch.setenv(RETRAIN, "1")
+    with pytest.raises(RuntimeError, match="would train"):
+        trained_models(["box"], training, data, n_augmented, seed)
+    reasons = {"pairs": "n_augmented", "images": "data", "simulation": "simulation"}
+    text = capsys.readouterr().out
+    assert "trained for this run: box" in text
+    assert (f"box.safetensors is of another {reasons.get(what)}\n" in text) == (what in reasons)
+
+
+def test_damaged_weights_are_named(home, data):
+    path = home / "data" / "pretrained" / "small" / "box.safetensors"
+    path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(ValueError, match=r"small/box\.safetensors is truncated"):
+        trained_models(["box"], TRAINING, data, 100)
+
+
+def test_a_dry_run_projects_the_whole_training(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "CACHE", tmp_path)
+    cost = training_cost(["height", "area"], {**TRAINING, "steps": 5000}, data, 100, steps=6)
+    assert cost["descriptor"].tolist() == ["height", "area"] and (cost["steps"] == 5000).all()
+    np.testing.assert_allclose(cost["hours"], cost["seconds per step"] * 5000 / 3600)
+    np.testing.assert_allclose(cost["images per second"], 8 / cost["seconds per step"])
+    assert not list(tmp_path.iterdir())  # nothing is kept
