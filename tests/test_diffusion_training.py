@@ -232,6 +232,78 @@ def test_images_may_be_floats():
     np.testing.assert_allclose(floats.history["loss"], whole.history["loss"], rtol=1e-3)
 
 
+def test_logs_of_an_interrupted_run_hold_every_step_once(tmp_path, monkeypatch):
+    """Interrupted after step 13, with a checkpoint at 8 and rows of the log up to 12, the last one torn."""
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    folder, log = tmp_path / "run", tmp_path / "log"
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, 13)
+        with pytest.raises(Interrupt):
+            train(*data(), config(), folder, progress=False, threads=1, log=log)
+    with (log / "history.csv").open("a") as file:
+        file.write("1")
+    history = train(*data(), config(), folder, progress=False, threads=1, log=log).history
+    rows = [line.split(",") for line in (log / "history.csv").read_text().splitlines()]
+    assert rows[0] == ["step", "loss", "simple", "vlb", "seconds"]
+    for column, name in enumerate(("step", "loss", "simple", "vlb")):
+        assert [float(row[column]) for row in rows[1:]] == history[name]
+    seconds = [float(row[4]) for row in rows[1:]]
+    assert seconds == sorted(seconds) and seconds[0] > 0
+    board = events.EventAccumulator(str(log)).Reload()
+    scalars = board.Scalars("loss")
+    assert [event.step for event in scalars] == history["step"]
+    np.testing.assert_allclose([event.value for event in scalars], history["loss"], rtol=1e-6)
+
+
+def test_without_tensorboard_a_line_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    train(*data(), config(steps=3), progress=False, threads=1, log=tmp_path)
+    assert "tensorboard is not installed" in capsys.readouterr().out
+    assert os.listdir(tmp_path) == ["history.csv"]
+
+
+# --- several processes ---------------------------------------------------------------------------------------------
+
+RANKS = """
+import json, os, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from test_diffusion_training import config, data, train
+from inflate_lib.diffusion import ranks
+
+ranks.start("cpu")
+folder = Path(sys.argv[1])
+first = train(*data(17), config(steps=12), folder / "first", progress=False, threads=1)
+(folder / f"rank{ranks.rank()}.json").write_text(json.dumps([first.history, first.net.out.weight.norm().item()]))
+resumed = train(*data(17), config(), folder / "cut", progress=False, threads=1)
+(folder / f"resumed{ranks.rank()}.json").write_text(json.dumps([resumed.history, resumed.net.out.weight.norm().item()]))
+ranks.finish()
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one_does(tmp_path, monkeypatch):
+    """Batches of 8, 8 and 1: in the last one, a process has nothing to do. The second run goes on from a checkpoint."""
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, 10)
+        with pytest.raises(Interrupt):
+            train(*data(17), config(), tmp_path / "cut", progress=False, threads=1)
+    script = tmp_path / "script.py"
+    script.write_text(RANKS)
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    here = os.path.dirname(__file__)
+    done = subprocess.run([*launcher, str(script), str(tmp_path), here], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    for name, steps in (("rank", 12), ("resumed", 24)):
+        results = [json.loads((tmp_path / f"{name}{rank}.json").read_text()) for rank in range(2)]
+        assert results[0] == results[1]
+        alone = train(*data(17), config(steps=steps), progress=False, threads=1)
+        for key, values in alone.history.items():
+            np.testing.assert_allclose(results[0][0][key], values, rtol=1e-5)
+        np.testing.assert_allclose(results[0][1], alone.net.out.weight.norm().item(), rtol=1e-4)
+    assert os.listdir(tmp_path / "first") == [CHECKPOINT]
+
+
 # --- files ---------------------------------------------------------------------------------------------------------
 
 
