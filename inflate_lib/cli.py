@@ -116,7 +116,7 @@ def train(
     from inflate_lib import paths
     from inflate_lib.datasets import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, check_name
-    from inflate_lib.diffusion import TrainedModel, ranks
+    from inflate_lib.diffusion import ranks
     from inflate_lib.experiments import train_models, training_cost
     from inflate_lib.profiles import load_profile
 
@@ -127,25 +127,30 @@ def train(
     data = simulated_sevens(given["source"], given["n_structures"] or None)
     if steps:
         cost = training_cost(names, training, data, given["n_augmented"], given["seed"], steps)
-        if ranks.rank() == 0:
-            print(cost.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
-            together = cost["hours"].sum() / cost["side by side"][0]
-            print(f"the whole training: about {together:.3g} h, {cost['side by side'][0]} at a time")
-        return
-    log = log or paths.CACHE / "logs" / profile
-    files = train_models(names, training, data, given["n_augmented"], given["seed"], log)
-    for name, file in files.items() if ranks.rank() == 0 else ():
-        model = TrainedModel.load(file)
-        about = model.metadata
-        if out is not None:
-            model.metadata |= {"profile": profile}
-            file = out / f"{name}.safetensors"
-            model.save(file, half=True)
-        print(
-            f"{name}: {about['seconds'] / 60:.1f} min on {about['device']}, loss {model.history['loss'][-1]:.4f}, "
-            f"held out {about.get('held_out_loss', float('nan')):.4f}: {file}"
-        )
+        at_a_time = cost["side by side"][0]
+        text = f"{cost.to_string(index=False, float_format='{:.4g}'.format)}\nthe whole training: about "
+        text += f"{cost['hours'].sum() / at_a_time:.3g} h, {at_a_time} at a time"
+    else:
+        log = log or paths.CACHE / "logs" / profile
+        files = train_models(names, training, data, given["n_augmented"], given["seed"], log)
+        text = "\n".join(_export(Path(file), name, profile, out) for name, file in files.items() if file)
+    if ranks.rank() == 0:
+        print(text)
     ranks.finish()
+
+
+def _export(file: Path, name: str, profile: str, out: Path | None) -> str:
+    """Copy a trained model in 16 bits to `out`; a line about it."""
+    from inflate_lib.diffusion import TrainedModel
+
+    model = TrainedModel.load(file)
+    if out is not None:
+        model.metadata |= {"profile": profile}
+        file = out / f"{name}.safetensors"
+        model.save(file, half=True)
+    about, loss = model.metadata, model.history["loss"][-1]
+    unseen = f", held out {about['held_out_loss']:.4f}" if "held_out_loss" in about else ""
+    return f"{name}: {about['seconds'] / 60:.1f} min on {about['device']}, loss {loss:.4f}{unseen}: {file}"
 
 
 @app.command()

@@ -137,7 +137,7 @@ def full(run, rows):
 die(_Run, 'advance', full)"""
     ended = child(tmp_path, limit)
     assert ended.returncode == 1
-    assert "File too large at step 16; the checkpoint before is whole" in ended.stderr.splitlines()[-1]
+    assert "File too large at step 16 (the checkpoint before it is kept)" in ended.stderr.splitlines()[-1]
     assert storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == 8
     assert os.listdir(tmp_path) == [CHECKPOINT]
 

@@ -258,8 +258,8 @@ class _Run:
         try:
             storage.write(self.path, "checkpoint", tensors, content)
         except OSError as error:
-            advice = "the checkpoint before is whole, and the next run goes on from there"
-            raise OSError(error.errno, f"{error.strerror} at step {self.step}; {advice}", str(self.path)) from error
+            what = f"{error.strerror} at step {self.step} (the checkpoint before it is kept)"
+            raise OSError(error.errno, what, str(self.path)) from error
 
     def restore(self) -> None:
         try:
