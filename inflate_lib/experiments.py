@@ -226,7 +226,7 @@ def training_cost(names: Sequence[str], training, data, n_augmented=augmentation
 def _side_by_side(task, names, training):
     """``task(name, threads)`` for each name, as many at a time as the device bears."""
     jobs = _jobs(names, training)
-    threads = max(1, effective_n_jobs(-1) // jobs)
+    threads = max(1, effective_n_jobs(-1) // (jobs * ranks.world()))
     return Parallel(n_jobs=jobs)(delayed(task)(name, threads) for name in names)
 
 

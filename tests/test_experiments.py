@@ -9,10 +9,13 @@ import xarray as xr
 from inflate_lib import experiments, paths
 from inflate_lib.augmentation import apply_variants, augment
 from inflate_lib.cache import RETRAIN
-from inflate_lib.datasets import held_out
+from inflate_lib.datasets import held_out, simulated_sevens
+from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel
-from inflate_lib.experiments import train_models, trained_models, training_cost, training_pairs
-from inflate_lib.sources import load_sevens
+from inflate_lib.diffusion.training import simple_loss
+from inflate_lib.experiments import committed_weights, train_models, trained_models, training_cost, training_pairs
+from inflate_lib.profiles import load_profile
+from inflate_lib.sources import load_sevens, resolve_source
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +146,26 @@ def test_damaged_weights_are_named(home, data):
     path.write_bytes(path.read_bytes()[:-7])
     with pytest.raises(ValueError, match=r"small/box\.safetensors is truncated"):
         trained_models(["box"], TRAINING, data, 100)
+
+
+@pytest.mark.slow
+@pytest.mark.mnist
+@pytest.mark.parametrize(
+    "path", sorted(paths.PRETRAINED.glob("*/*.safetensors")), ids=lambda path: f"{path.parent.name} {path.stem}"
+)
+def test_committed_weights_are_those_of_their_profile_and_still_mean_what_they_meant(path):
+    """A changed profile, data set or network would otherwise go unnoticed until somebody trains for an evening."""
+    if resolve_source() != "mnist":
+        pytest.skip("MNIST cannot be had: the committed weights are not checked")
+    name, profile = path.stem, path.parent.name
+    given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
+    data = simulated_sevens("mnist")
+    assert committed_weights(name, given["training"], data, given["n_augmented"], given["seed"]) == (path, "")
+    model = TrainedModel.load(path)
+    assert model.metadata["descriptor"] == name and model.metadata["profile"] == profile
+    unseen = data.isel(structure=np.flatnonzero(data["converged"].values & held_out(data.sizes["structure"])))
+    loss = simple_loss(model, unseen["image"].values, descriptor_matrix(unseen, name))
+    assert loss == pytest.approx(model.metadata["held_out_loss"], rel=5e-3)  # 16 bits
 
 
 def test_a_dry_run_projects_the_whole_training(data, tmp_path, monkeypatch):

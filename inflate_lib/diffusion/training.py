@@ -205,7 +205,7 @@ class _Run:
         self.optimiser.zero_grad(set_to_none=False)  # a process without a row in this batch has a gradient, too
         losses = torch.zeros(3, device=self.device)
         if len(rows):
-            losses = self.losses(rows.to(self.device), t, dropped.to(self.device), noise.to(self.device)) / n
+            losses = self.losses(self.there(rows), t, self.there(dropped), self.there(noise)) / n
             losses[0].backward()
             losses = losses.detach()
         ranks.add_up([*(p.grad for p in self.net.parameters()), losses])
@@ -217,6 +217,11 @@ class _Run:
             torch._foreach_lerp_(self.ema, list(self.net.parameters()), 1 - decay)
         self.step += 1
         self.summed += 1
+
+    def there(self, tensor: Tensor) -> Tensor:
+        """Send to the device; a GPU goes on computing meanwhile."""
+        on_gpu = self.device.type == "cuda"
+        return (tensor.pin_memory() if on_gpu else tensor).to(self.device, non_blocking=on_gpu)
 
     def losses(self, rows: Tensor, t: Tensor, dropped: Tensor, noise: Tensor) -> Tensor:
         """Hybrid loss, its simple and its vlb part, summed over some rows of a batch."""
