@@ -319,7 +319,8 @@ def test_saved_and_loaded(model, tmp_path, half):
     model.save(tmp_path / "m.safetensors", half=half)
     loaded = TrainedModel.load(tmp_path / "m.safetensors")
     assert loaded.config == model.config and loaded.history == model.history
-    assert loaded.metadata == {"descriptor": "box"} and loaded.image_size == (28, 28)
+    assert loaded.metadata == model.metadata and loaded.metadata["descriptor"] == "box"
+    assert loaded.image_size == (28, 28)
     np.testing.assert_array_equal(loaded.condition_max, model.condition_max)
     targets = [[5.0, 6.0]]
     images = [generate(m, targets, sampler="ddim", steps=3) for m in (model, loaded)]
