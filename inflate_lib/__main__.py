@@ -1,4 +1,4 @@
-"""``python -m inflate_lib`` is the command ``inflate``."""
+"""``python -m inflate_lib``, the same as the command ``inflate``; ``torchrun -m inflate_lib train`` needs it."""
 
 from inflate_lib.cli import run
 

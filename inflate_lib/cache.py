@@ -30,6 +30,7 @@ _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_ROOM |= {errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
 MARK = "\x01"  # begins a line that the runner shows while a notebook runs, and does not keep in it
 RUNNER = "INFLATE_MANIFEST"  # set by the runner, to the file in which it wants to be told what was published
+RETRAIN = "INFLATE_RETRAIN"  # set by --retrain: models are trained, though data/pretrained has weights that fit
 _verified: set[tuple[str, int, int]] = set()  # files whose digest this process has checked already
 
 

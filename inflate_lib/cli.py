@@ -17,6 +17,7 @@ app = typer.Typer(
 ProfileName = Annotated[str, typer.Option(help="A file in notebooks/profiles, without .yml: ci, laptop, paper.")]
 Jobs = Annotated[int, typer.Option(help="Notebooks side by side.")]
 Force = Annotated[bool, typer.Option("--force", help="Execute fresh notebooks too.")]
+Retrain = Annotated[bool, typer.Option("--retrain", help="Train the models, though data/pretrained has their weights.")]
 
 
 @app.callback()
@@ -32,18 +33,21 @@ def reproduce(
     only: Annotated[list[str] | None, typer.Option(help="One notebook, by number or name; may be repeated.")] = None,
     jobs: Jobs = 2,
     force: Force = False,
+    retrain: Retrain = False,
 ) -> None:
     """Execute the notebooks under a profile and regenerate their figures and tables."""
     from inflate_lib.reproduce import reproduce
 
+    _set_retrain(retrain)
     reproduce(profile, only or (), jobs, force)
 
 
 @app.command()
-def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False) -> None:
+def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False, retrain: Retrain = False) -> None:
     """Execute what is not fresh, then build the book with warnings as errors."""
     from inflate_lib.reproduce import build_book, reproduce
 
+    _set_retrain(retrain)
     reproduce(profile, (), jobs, force)
     build_book(profile)
 
@@ -113,19 +117,54 @@ def simulate(
 def train(
     descriptor: Annotated[str, typer.Option(help="height, width, box, area, axis, or all.")] = "all",
     profile: ProfileName = "ci",
+    device: Annotated[str | None, typer.Option(help="cpu, cuda or mps; found by itself otherwise.")] = None,
+    compile: Annotated[bool, typer.Option("--compile", help="With torch.compile.")] = False,
+    steps: Annotated[int | None, typer.Option(min=2, help="A dry run of so many steps: what would it cost?")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the weights in 16 bits: name.safetensors.")] = None,
+    log: Annotated[Path | None, typer.Option(help="Folder for CSV and TensorBoard logs.")] = None,
 ) -> None:
-    """Train the models of the training notebook under a profile, or find them trained."""
+    """Train the models of a profile, or find them trained in the cache. A killed training goes on where it was.
+
+    Several GPUs or machines: torchrun --nproc-per-node 2 -m inflate_lib train …
+    """
     from inflate_lib import paths
     from inflate_lib.datasets import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, check_name
-    from inflate_lib.experiments import trained_models
+    from inflate_lib.diffusion import ranks
+    from inflate_lib.experiments import train_models, training_cost
     from inflate_lib.profiles import load_profile
 
     names = list(DESCRIPTORS) if descriptor == "all" else [check_name(descriptor)]
     given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
+    training = given["training"] | ({"device": device} if device else {}) | ({"compile": True} if compile else {})
+    ranks.start(training.get("device", "auto"))
     data = simulated_sevens(given["source"], given["n_structures"] or None)
-    models = trained_models(names, given["training"], data, given["n_augmented"], given["seed"])
-    print(f"trained: {', '.join(models)}; the files are in {paths.CACHE / 'model'}")
+    if steps:
+        cost = training_cost(names, training, data, given["n_augmented"], given["seed"], steps)
+        at_a_time = cost["side by side"][0]
+        text = f"{cost.to_string(index=False, float_format='{:.4g}'.format)}\nthe whole training: about "
+        text += f"{cost['hours'].sum() / at_a_time:.3g} h, {at_a_time} at a time"
+    else:
+        log = log or paths.CACHE / "logs" / profile
+        files = train_models(names, training, data, given["n_augmented"], given["seed"], log)
+        text = "\n".join(_export(Path(file), name, profile, out) for name, file in files.items() if file)
+    if ranks.rank() == 0:
+        print(text)
+    ranks.finish()
+
+
+def _export(file: Path, name: str, profile: str, out: Path | None) -> str:
+    """Copy a trained model in 16 bits to `out`; a line about it."""
+    from inflate_lib.diffusion import TrainedModel
+
+    model = TrainedModel.load(file)
+    if out is not None:
+        model.metadata |= {"profile": profile}
+        file = out / f"{name}.safetensors"
+        model.save(file, half=True)
+    about, loss = model.metadata, model.history["loss"][-1]
+    unseen = f", held out {about['held_out_loss']:.4f}" if "held_out_loss" in about else ""
+    return f"{name}: {about['seconds'] / 60:.1f} min on {about['device']}, loss {loss:.4f}{unseen}: {file}"
 
 
 @app.command()
@@ -138,6 +177,14 @@ def info() -> None:
     for name, version in package_versions().items():
         print(f"{name} {version}")
     print(f"checkout {paths.ROOT}\ncache {paths.CACHE}\nMNIST {os.environ.get('INFLATE_MNIST_DIR', 'by download')}")
+
+
+def _set_retrain(retrain: bool) -> None:
+    """Tell the notebooks, which run in processes of their own."""
+    from inflate_lib.cache import RETRAIN
+
+    if retrain:
+        os.environ[RETRAIN] = "1"
 
 
 def run() -> None:

@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from inflate_lib import paths
-from inflate_lib.cache import code_version, digest
+from inflate_lib.cache import RETRAIN, code_version, digest
 from inflate_lib.display import Bars, Lines
 from inflate_lib.execution import Kernels, Listener, execute
 from inflate_lib.profiles import Profile, check_profile, load_profile
@@ -186,6 +186,7 @@ def _shared_fingerprint() -> dict[str, Any]:
     return {
         "library": code_version(*modules),
         "data folder": digest(*(part for path in data for part in (path.name, path))),
+        "weights": "trained anew" if RETRAIN in os.environ else "committed where they fit",
         "packages": package_versions(),
         "python": ".".join(platform.python_version_tuple()[:2]),
     }

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -67,55 +66,84 @@ def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(tmp_path, monkeyp
 
 
 def test_a_finished_run_is_not_repeated(tmp_path, monkeypatch):
-    first = train(*data(), config(), tmp_path, progress=False)
+    first = train(*data(), config(), tmp_path, progress=False, threads=1)
     interrupt_at(monkeypatch, 0)
-    assert same(train(*data(), config(), tmp_path, progress=False), first)
+    assert same(train(*data(), config(), tmp_path, progress=False, threads=1), first)
 
 
-def test_a_kill_at_any_moment_leaves_a_good_checkpoint(tmp_path):
-    """A child trains and writes checkpoints without pause and is killed; a second one goes on from what is there."""
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[2]); from test_diffusion_training import *\n"
-        "train(*data(), config(steps=100_000, checkpoint_every=1), sys.argv[1], progress=False, threads=1)"
-    )
-    here = os.path.dirname(__file__)
-    command = [sys.executable, "-c", code, str(tmp_path), here]
-    steps = []
-    for _ in range(2):
-        with subprocess.Popen(command) as child:
-            try:
-                deadline = time.monotonic() + 60
-                while not _progressed(tmp_path / CHECKPOINT, steps) and time.monotonic() < deadline:
-                    time.sleep(0.05)
-            finally:
-                child.send_signal(signal.SIGKILL)
-        _, content = storage.read(tmp_path / CHECKPOINT, "checkpoint")
-        steps.append(content["step"])
-    assert 0 < steps[0] < steps[1]
+CHILD = """
+import os, resource, signal, sys
+sys.path.insert(0, sys.argv[2])
+from test_diffusion_training import config, data, die, storage, train, TINY
+from inflate_lib.diffusion.training import _Run
+
+{}
+train(*data(), config(learning_rate_decay="cosine"), sys.argv[1], progress=False, threads=1)
+"""
+DEATHS = {
+    "before the first checkpoint": "die(_Run, 'advance', lambda run, rows: run.step == 5)",
+    "with half a checkpoint written": """
+save = storage.save
+storage.save = lambda *content, **more: save(*content, **more)[:1000]  # the first part of the bytes reaches the disk
+die(os, 'fsync', lambda file: True)""",
+    "before the new checkpoint is in place": "die(os, 'replace', lambda old, new: True)",
+    "with half of the second written": """
+save, saved = storage.save, []
+def cut(*content, **more):
+    saved.append(0)
+    return save(*content, **more)[: 1000 if len(saved) == 2 else None]
+storage.save = cut
+die(os, 'fsync', lambda file: len(saved) == 1)""",
+    "in the last step": "die(_Run, 'advance', lambda run, rows: run.step == 23)",
+}
 
 
-def _progressed(path, steps):
-    return path.exists() and storage.read(path, "checkpoint")[1]["step"] > (steps[-1] + 3 if steps else 3)
+def die(place, name, now):
+    """Let the process be killed with SIGKILL as it enters a function, when ``now`` says so."""
+    call = getattr(place, name)
+
+    def deadly(*arguments):
+        if now(*arguments):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return call(*arguments)
+
+    setattr(place, name, deadly)
 
 
-def test_a_failed_write_keeps_the_old_checkpoint(tmp_path, monkeypatch):
-    path = tmp_path / CHECKPOINT
-    storage.write(path, "checkpoint", {"a": torch.ones(3)}, {"step": 1})
+def child(folder, preparation):
+    command = [sys.executable, "-c", CHILD.format(preparation), str(folder), os.path.dirname(__file__)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
-    def torn(tensors, target, metadata):
-        target.write_bytes(b"half of")
-        raise OSError("disk full")
 
-    monkeypatch.setattr(storage, "save_file", torn)
-    with pytest.raises(OSError, match="disk full"):
-        storage.write(path, "checkpoint", {"a": torch.zeros(3)}, {"step": 2})
-    tensors, content = storage.read(path, "checkpoint")
-    assert content == {"step": 1} and bool((tensors["a"] == 1).all())
-    assert os.listdir(tmp_path) == [CHECKPOINT]  # nothing half-written lies about
+@pytest.mark.slow
+def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tmp_path):
+    for moment, preparation in DEATHS.items():
+        ended = child(tmp_path, preparation)
+        assert ended.returncode == -signal.SIGKILL, (moment, ended.stderr)
+    killed = train(*data(), config(learning_rate_decay="cosine"), tmp_path, progress=False, threads=1)
+    whole = train(*data(), config(learning_rate_decay="cosine"), progress=False, threads=1)
+    assert killed.history == whole.history  # to the last bit
+    assert same(killed, whole)
+    assert os.listdir(tmp_path) == [CHECKPOINT]  # nothing half-written is left
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit on the size of files")
+def test_a_full_disk_stops_with_a_message_and_keeps_the_old_checkpoint(tmp_path):
+    """The limit on the size of a file stands in for the disk: the second checkpoint meets it in the middle."""
+    limit = """
+def full(run, rows):
+    if run.step == 8:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
+die(_Run, 'advance', full)"""
+    ended = child(tmp_path, limit)
+    assert ended.returncode == 1
+    assert "File too large at step 16 (the checkpoint before it is kept)" in ended.stderr.splitlines()[-1]
+    assert storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == 8
+    assert os.listdir(tmp_path) == [CHECKPOINT]
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
-    train(*data(), config(), tmp_path, progress=False)
+    train(*data(), config(), tmp_path, progress=False, threads=1)
     for images, conditions, options in ((*data(), {"seed": 3}), (*data(seed=9), {})):
         with pytest.raises(ValueError, match="another configuration or other data"):
             train(images, conditions, config(**options), tmp_path, progress=False)
@@ -134,7 +162,7 @@ def test_weights_that_are_lost_in_the_very_last_step_are_not_saved(tmp_path, mon
 
     monkeypatch.setattr(_Run, "advance", explode)
     with pytest.raises(FloatingPointError, match=r"weights are no longer finite after step 16"):
-        train(*data(), config(), tmp_path, progress=False)
+        train(*data(), config(), tmp_path, progress=False, threads=1)
     assert storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == 8
 
 
@@ -151,7 +179,7 @@ def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monk
 
     monkeypatch.setattr(_Run, "advance", explode)
     with pytest.raises(FloatingPointError, match=r"loss became nan between steps 12 and 15.*last good state"):
-        train(*data(), config(), tmp_path, progress=False)
+        train(*data(), config(), tmp_path, progress=False, threads=1)
     tensors, content = storage.read(tmp_path / CHECKPOINT, "checkpoint")
     assert content["step"] == 8 and all(bool(torch.isfinite(v).all()) for v in tensors.values())
 
@@ -204,12 +232,84 @@ def test_images_may_be_floats():
     np.testing.assert_allclose(floats.history["loss"], whole.history["loss"], rtol=1e-3)
 
 
+def test_logs_of_an_interrupted_run_hold_every_step_once(tmp_path, monkeypatch):
+    """Interrupted after step 13, with a checkpoint at 8 and rows of the log up to 12, the last one torn."""
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    folder, log = tmp_path / "run", tmp_path / "log"
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, 13)
+        with pytest.raises(Interrupt):
+            train(*data(), config(), folder, progress=False, threads=1, log=log)
+    with (log / "history.csv").open("a") as file:
+        file.write("1")
+    history = train(*data(), config(), folder, progress=False, threads=1, log=log).history
+    rows = [line.split(",") for line in (log / "history.csv").read_text().splitlines()]
+    assert rows[0] == ["step", "loss", "simple", "vlb", "seconds"]
+    for column, name in enumerate(("step", "loss", "simple", "vlb")):
+        assert [float(row[column]) for row in rows[1:]] == history[name]
+    seconds = [float(row[4]) for row in rows[1:]]
+    assert seconds == sorted(seconds) and seconds[0] > 0
+    board = events.EventAccumulator(str(log)).Reload()
+    scalars = board.Scalars("loss")
+    assert [event.step for event in scalars] == history["step"]
+    np.testing.assert_allclose([event.value for event in scalars], history["loss"], rtol=1e-6)
+
+
+def test_without_tensorboard_a_line_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    train(*data(), config(steps=3), progress=False, threads=1, log=tmp_path)
+    assert "tensorboard is not installed" in capsys.readouterr().out
+    assert os.listdir(tmp_path) == ["history.csv"]
+
+
+# --- several processes ---------------------------------------------------------------------------------------------
+
+RANKS = """
+import json, os, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from test_diffusion_training import config, data, train
+from inflate_lib.diffusion import ranks
+
+ranks.start("cpu")
+folder = Path(sys.argv[1])
+first = train(*data(17), config(steps=12), folder / "first", progress=False, threads=1)
+(folder / f"rank{ranks.rank()}.json").write_text(json.dumps([first.history, first.net.out.weight.norm().item()]))
+resumed = train(*data(17), config(), folder / "cut", progress=False, threads=1)
+(folder / f"resumed{ranks.rank()}.json").write_text(json.dumps([resumed.history, resumed.net.out.weight.norm().item()]))
+ranks.finish()
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one_does(tmp_path, monkeypatch):
+    """Batches of 8, 8 and 1: in the last one, a process has nothing to do. The second run goes on from a checkpoint."""
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, 10)
+        with pytest.raises(Interrupt):
+            train(*data(17), config(), tmp_path / "cut", progress=False, threads=1)
+    script = tmp_path / "script.py"
+    script.write_text(RANKS)
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    here = os.path.dirname(__file__)
+    done = subprocess.run([*launcher, str(script), str(tmp_path), here], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    for name, steps in (("rank", 12), ("resumed", 24)):
+        results = [json.loads((tmp_path / f"{name}{rank}.json").read_text()) for rank in range(2)]
+        assert results[0] == results[1]
+        alone = train(*data(17), config(steps=steps), progress=False, threads=1)
+        for key, values in alone.history.items():
+            np.testing.assert_allclose(results[0][0][key], values, rtol=1e-5)
+        np.testing.assert_allclose(results[0][1], alone.net.out.weight.norm().item(), rtol=1e-4)
+    assert os.listdir(tmp_path / "first") == [CHECKPOINT]
+
+
 # --- files ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def model():
-    trained = train(*data(), config(), progress=False)
+    trained = train(*data(), config(), progress=False, threads=1)
     trained.metadata["descriptor"] = "box"
     return trained
 
@@ -219,7 +319,8 @@ def test_saved_and_loaded(model, tmp_path, half):
     model.save(tmp_path / "m.safetensors", half=half)
     loaded = TrainedModel.load(tmp_path / "m.safetensors")
     assert loaded.config == model.config and loaded.history == model.history
-    assert loaded.metadata == {"descriptor": "box"} and loaded.image_size == (28, 28)
+    assert loaded.metadata == model.metadata and loaded.metadata["descriptor"] == "box"
+    assert loaded.image_size == (28, 28)
     np.testing.assert_array_equal(loaded.condition_max, model.condition_max)
     targets = [[5.0, 6.0]]
     images = [generate(m, targets, sampler="ddim", steps=3) for m in (model, loaded)]
@@ -266,7 +367,7 @@ def test_a_foreign_safetensors_file_is_refused(tmp_path):
 
 
 def test_a_checkpoint_is_not_a_model(tmp_path):
-    train(*data(), config(), tmp_path, progress=False)
+    train(*data(), config(), tmp_path, progress=False, threads=1)
     with pytest.raises(ValueError, match="not a model file"):
         TrainedModel.load(tmp_path / CHECKPOINT)
     with pytest.raises(FileNotFoundError, match=r"none\.safetensors"):

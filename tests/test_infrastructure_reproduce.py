@@ -299,6 +299,17 @@ def test_a_notebook_without_mnist_says_so_and_warns_of_nothing(home, monkeypatch
     assert "embedded scikit-learn digits" in streams["stdout"]
 
 
+def test_retraining_reaches_the_notebooks_and_makes_them_run_again(done, monkeypatch):
+    add(done, "02_second", "import os\nfrom inflate_lib.publishing import Page\npage = Page('02_second', globals())\n"
+        "page.record('retrain', 'INFLATE_RETRAIN' in os.environ)")  # fmt: skip
+    monkeypatch.setattr(reproduce, "build_book", lambda profile: None)
+    monkeypatch.setenv("INFLATE_RETRAIN", "")  # so that whatever happens to it is undone
+    monkeypatch.delenv("INFLATE_RETRAIN")
+    for retrain in (False, True):
+        cli.book(retrain=retrain)
+        assert recorded(done / "book" / "notebooks" / "02_second.ipynb")["retrain"] == retrain
+
+
 def test_two_runs_do_not_share_a_checkout(home):
     with reproduce._only_run(), pytest.raises(RunError, match=r"another .* is at work"):
         run()

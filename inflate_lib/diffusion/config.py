@@ -9,6 +9,8 @@ import torch
 from inflate_lib.diffusion.process import check_objective
 from inflate_lib.diffusion.unet import UNet, check_conditioning
 
+_ASIDE = ("device", "precision", "compile", "checkpoint_every", "log_every")
+
 
 @dataclass(frozen=True)
 class TrainingConfig:
@@ -39,6 +41,8 @@ class TrainingConfig:
     checkpoint_every: int | None = None  # None: 10 epochs (paper), or a twentieth of a budget given in steps
     log_every: int = 50  # steps that each entry of the history averages
     device: str = "auto"  # "auto" (CUDA, then MPS, then CPU) or a torch device
+    precision: str = "auto"  # of the network's arithmetic: "float32", "bfloat16", or "auto": bfloat16 on CUDA alone
+    compile: bool = False  # torch.compile: worth its minute of preparation on a GPU
 
     def __post_init__(self):
         if not isinstance(self.channels, list | tuple) or not self.channels:
@@ -50,6 +54,8 @@ class TrainingConfig:
             raise ValueError("give the training budget as exactly one of steps and epochs")
         if self.learning_rate_decay not in ("constant", "cosine"):
             raise ValueError(f"learning_rate_decay is constant or cosine, not {self.learning_rate_decay!r}")
+        if self.precision not in ("auto", "float32", "bfloat16"):
+            raise ValueError(f"precision is auto, float32 or bfloat16, not {self.precision!r}")
         whole = {f.name: getattr(self, f.name) for f in fields(self) if f.type in (int, int | None)}
         whole |= {f"channels[{i}]": c for i, c in enumerate(self.channels)}
         for name, value in whole.items():
@@ -67,8 +73,9 @@ class TrainingConfig:
                     f"{name} must be a number of at least 0 and less than {end}, not {value!r}"
                     + " (YAML reads 1e-3 as text: write 1.0e-3)" * isinstance(value, str)
                 )
-        if not isinstance(self.attention, bool):
-            raise ValueError(f"attention must be true or false, not {self.attention!r}")
+        for name in ("attention", "compile"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name} must be true or false, not {getattr(self, name)!r}")
 
     def training_steps(self, n: int) -> int:
         """Training steps in all, on n pairs."""
@@ -83,6 +90,10 @@ class TrainingConfig:
     def as_dict(self) -> dict:
         """Plain values, ready for JSON."""
         return asdict(self) | {"channels": list(self.channels)}
+
+    def recipe(self) -> dict:
+        """``as_dict`` without what only says where, how fast and how talkatively to compute, not what is learned."""
+        return {name: value for name, value in self.as_dict().items() if name not in _ASIDE}
 
     @classmethod
     def from_dict(cls, values: Mapping) -> "TrainingConfig":

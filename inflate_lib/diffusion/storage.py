@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load, save_file
+from safetensors.torch import load, save
 from torch import Tensor
 
 FORMAT = "inflate_lib.diffusion 1"
@@ -37,11 +37,20 @@ def write(path: Path, kind: str, tensors: Mapping[str, Tensor], content: Mapping
     header = {"format": FORMAT, "kind": kind, "content": text, "digest": _digest(tensors, text)}
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
-        save_file(tensors, partial, metadata=header)
-        with open(partial, "rb+") as file:
+        with open(partial, "wb") as file:
+            file.write(save(tensors, metadata=header))
+            file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)
+    except OSError as error:  # a full disk, which leaves out the name of the file
+        raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
+        partial.unlink(missing_ok=True)
+
+
+def sweep(path: Path) -> None:
+    """Remove what runs that were killed in the middle of ``write`` left beside ``path``."""
+    for partial in path.parent.glob(f"{path.name}.*.partial"):
         partial.unlink(missing_ok=True)
 
 

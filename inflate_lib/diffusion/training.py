@@ -1,4 +1,4 @@
-"""Training the conditional denoiser (sections 2.2 and 4.1): the loop, its checkpoints and its progress."""
+"""Training the conditional denoiser (sections 2.2 and 4.1): the loop and its checkpoints."""
 
 import math
 import time
@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inflate_lib.diffusion import process, storage
+from inflate_lib.diffusion import process, ranks, storage
 from inflate_lib.diffusion.config import TrainingConfig
+from inflate_lib.diffusion.logs import Log, Progress
 from inflate_lib.diffusion.model import TrainedModel
 from inflate_lib.diffusion.schedule import at, cosine_schedule
 
@@ -45,8 +46,11 @@ def train(
     folder: Path | None = None,
     progress: bool | str = True,
     threads: int | None = None,
+    log: Path | None = None,
 ) -> TrainedModel:
     """Train a denoiser on pairs of structure and descriptor.
+
+    Under ``torchrun``, after ``ranks.start()``, all processes call this with the same pairs and share each batch.
 
     Parameters
     ----------
@@ -61,11 +65,14 @@ def train(
         Print a line every few seconds; a string is put before each line (to tell models trained side by side apart).
     threads : int, optional
         CPU threads for the duration of this call.
+    log : path, optional
+        Folder for ``history.csv`` and, where the package tensorboard is installed, TensorBoard events.
 
     Returns
     -------
     TrainedModel
-        On the CPU, with the averaged weights where ``ema_decay`` is set.
+        On the CPU, with the averaged weights where ``ema_decay`` is set. Its metadata tell the ``seconds`` spent, those
+        of one step (median), and the ``device``.
 
     Raises
     ------
@@ -73,16 +80,41 @@ def train(
         Unusable images, conditions, or a checkpoint of another run.
     FloatingPointError
         The loss is no longer finite. The last checkpoint, written while it was, is kept.
+    OSError
+        A checkpoint cannot be written (full disk). The one before is kept.
     """
     images, conditions = _checked(images, conditions, config)
     threads_before = torch.get_num_threads()
     torch.set_num_threads(threads or threads_before)
     try:
         run = _Run(images, conditions, config, folder)
-        run.train(_Reporter(progress, run))
+        first = ranks.rank() == 0
+        run.train(Progress(progress if first else False, run), Log(Path(log), run.step) if log and first else None)
         return run.model()
     finally:
         torch.set_num_threads(threads_before)
+
+
+def simple_loss(model: TrainedModel, images: np.ndarray, conditions: np.ndarray, seed: int = 0) -> float:
+    """L_simple (Eq. 12) of a model on pairs (n, h, w), (n, N), one random time step for each; the seed draws it.
+
+    On pairs that the model was not trained on, a fair measure of how well it predicts; and, as it repeats itself, a
+    check that stored weights still mean what they meant.
+    """
+    images, conditions = _checked(images, conditions, model.config)
+    errors = []
+    for first in range(0, len(images), 256):
+        x0 = to_network(torch.from_numpy(images[first : first + 256]))
+        y = torch.from_numpy(model.scaled(conditions[first : first + 256])).float()
+        generator = random_generator(seed, 4, first)
+        t = torch.randint(model.config.T, (len(x0),), generator=generator)
+        noise = torch.randn(x0.shape, generator=generator)
+        x = process.add_noise(model.schedule, x0, t, noise)
+        with torch.inference_mode():
+            prediction = model.net(x, t, y)
+        target = process.training_target(model.schedule, x0, t, noise, model.config.objective)
+        errors.append(process.squared_error(prediction, target))
+    return torch.cat(errors).mean().item()
 
 
 class _Run:
@@ -91,14 +123,22 @@ class _Run:
     def __init__(self, images: np.ndarray, conditions: np.ndarray, config: TrainingConfig, folder: Path | None):
         self.config, self.path = config, Path(folder) / CHECKPOINT if folder is not None else None
         self.device = choose_device(config.device)
+        on_gpu = self.device.type == "cuda"
+        self.bfloat16 = config.precision == "bfloat16" or (config.precision == "auto" and on_gpu)
         self.low, self.high = conditions.min(0), conditions.max(0)
         self.per_epoch = math.ceil(len(images) / config.batch_size)
         self.total = config.training_steps(len(images))
         self.checkpoint_every = config.checkpoint_steps(len(images))
         self.net = config.make_net(conditions.shape[1]).to(self.device)
         self.ema = [p.detach().clone() for p in self.net.parameters()]
-        self.optimiser = torch.optim.Adam(self.net.parameters(), lr=config.learning_rate)
+        self.optimiser = torch.optim.Adam(self.net.parameters(), lr=config.learning_rate, fused=on_gpu)
+        for p in self.net.parameters():  # what Adam itself would begin with
+            step = torch.zeros((), device=self.device if on_gpu else "cpu")
+            self.optimiser.state[p] = {"step": step, "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
+            p.grad = torch.zeros_like(p)
+        self.predict = torch.compile(self.net) if config.compile else self.net
         self.step, self.history = 0, {"step": [], "loss": [], "simple": [], "vlb": []}
+        self.seconds, self.per_step = 0.0, []  # spent in all; of one step, on average between entries of the history
         # Loss, simple and vlb part, summed since the last entry of the history.
         self.sums = torch.zeros(3, device=self.device)
         self.summed = 0
@@ -111,12 +151,24 @@ class _Run:
         self.conditions = torch.from_numpy(scaled).to(self.device, torch.float32)
         # Tells this run's checkpoint from that of another data set or configuration.
         data = storage.fingerprint(images, conditions)
-        self.identity = {"config": config.as_dict() | {"device": ""}, "data": data}
-        if self.path is not None and self.path.exists():
-            self.restore()
+        self.identity = {"config": config.recipe(), "data": data}
+        if self.path is not None and ranks.rank() == 0:
+            storage.sweep(self.path)
+            if self.path.exists():
+                self.restore()
+        ranks.copy(list(self.state().values()), self.device)
+        self.step, self.history = ranks.share((self.step, self.history))
 
-    def train(self, report) -> None:
-        order, epoch = None, None
+    def state(self) -> dict[str, Tensor]:
+        """Every tensor that a step changes, by its name in the checkpoint."""
+        tensors = {}
+        for (name, p), average in zip(self.net.named_parameters(), self.ema, strict=True):
+            tensors |= {f"net.{name}": p.detach(), f"ema.{name}": average}
+            tensors |= {f"adam.{name}.{key}": value for key, value in self.optimiser.state[p].items()}
+        return tensors
+
+    def train(self, report: Progress, log: Log | None) -> None:
+        order, epoch, started = None, None, time.monotonic() - self.seconds
         while self.step < self.total:
             if epoch != self.step // self.per_epoch:
                 epoch = self.step // self.per_epoch
@@ -126,41 +178,61 @@ class _Run:
             self.advance(order[first : first + self.config.batch_size])
             done = self.step == self.total
             checkpoint = done or self.step % self.checkpoint_every == 0
-            if checkpoint or self.step % self.config.log_every == 0:
+            if self.summed and (checkpoint or self.step % self.config.log_every == 0):
+                steps = self.summed
                 self.log()
+                before, self.seconds = self.seconds, time.monotonic() - started
+                self.per_step.append((self.seconds - before) / steps)
+                if log is not None:
+                    log.add(**{name: values[-1] for name, values in self.history.items()}, seconds=self.seconds)
             report(done)
-            if checkpoint and self.path is not None:
+            if checkpoint and self.path is not None and ranks.rank() == 0:
                 self.save()
 
     def advance(self, rows: Tensor) -> None:
         """One step of stochastic gradient descent on the hybrid loss (Eq. 11)."""
         config, n = self.config, len(rows)
-        # On the CPU: the same numbers for every device.
+        # On the CPU and for the whole batch: the same numbers for every device and however many processes share it.
         generator = random_generator(config.seed, 2, self.step)
         t = torch.randint(config.T, (n,), generator=generator)
-        dropped = (torch.rand(n, generator=generator) < config.condition_dropout).to(self.device)
-        rows = rows.to(self.device)
-        x0 = to_network(self.images[rows])
-        noise = torch.randn(x0.shape, generator=generator).to(self.device)
-
-        x = process.add_noise(self.schedule, x0, t, noise)
-        target = process.training_target(self.schedule, x0, t, noise, config.objective)
-        prediction = self.net(x, t.to(self.device), self.conditions[rows], dropped)
-        error = process.squared_error(prediction, target)
-        loss = (at(self.weights, t, error) * error).mean()
+        dropped = torch.rand(n, generator=generator) < config.condition_dropout
+        noise = torch.randn((n, 1, *self.images.shape[1:]), generator=generator)
+        mine = slice(ranks.rank(), None, ranks.world())
+        rows, t, dropped, noise = rows[mine], t[mine], dropped[mine], noise[mine]
 
         for group in self.optimiser.param_groups:
             group["lr"] = self.learning_rate()
-        self.optimiser.zero_grad()
-        loss.backward()
+        self.optimiser.zero_grad(set_to_none=False)  # a process without a row in this batch has a gradient, too
+        losses = torch.zeros(3, device=self.device)
+        if len(rows):
+            losses = self.losses(self.there(rows), t, self.there(dropped), self.there(noise)) / n
+            losses[0].backward()
+            losses = losses.detach()
+        ranks.add_up([*(p.grad for p in self.net.parameters()), losses])
         self.optimiser.step()
         with torch.no_grad():
-            self.sums += torch.stack([loss, error.mean(), (at(self.vlb_weights, t, error) * error).mean()])
+            self.sums += losses
             # The average follows quickly at first, when the weights are still far from any use.
             decay = min(config.ema_decay, (1 + self.step) / (10 + self.step))
             torch._foreach_lerp_(self.ema, list(self.net.parameters()), 1 - decay)
         self.step += 1
         self.summed += 1
+
+    def there(self, tensor: Tensor) -> Tensor:
+        """Send to the device; a GPU goes on computing meanwhile."""
+        on_gpu = self.device.type == "cuda"
+        return (tensor.pin_memory() if on_gpu else tensor).to(self.device, non_blocking=on_gpu)
+
+    def losses(self, rows: Tensor, t: Tensor, dropped: Tensor, noise: Tensor) -> Tensor:
+        """Hybrid loss, its simple and its vlb part, summed over some rows of a batch."""
+        x0 = to_network(self.images[rows])
+        x = process.add_noise(self.schedule, x0, t, noise)
+        target = process.training_target(self.schedule, x0, t, noise, self.config.objective)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16):
+            prediction = self.predict(x, t.to(self.device), self.conditions[rows], dropped)
+        error = process.squared_error(prediction.float(), target)
+        weighted = at(self.weights, t, error) * error, error, at(self.vlb_weights, t, error) * error
+        return torch.stack([part.sum() for part in weighted])
 
     def learning_rate(self) -> float:
         rate = self.config.learning_rate * min(1, (self.step + 1) / max(1, self.config.warmup_steps))
@@ -170,8 +242,6 @@ class _Run:
 
     def log(self) -> None:
         """Close an interval of the history; stop if the loss is lost."""
-        if self.summed == 0:
-            return
         loss, simple, vlb = (self.sums / self.summed).tolist()
         if not math.isfinite(loss):
             raise self.lost(f"the training loss became {loss} between steps {self.step - self.summed} and {self.step}")
@@ -186,14 +256,15 @@ class _Run:
         return FloatingPointError(f"{what}; {advice}.{kept}")
 
     def save(self) -> None:
-        tensors = {}
-        for (name, p), average in zip(self.net.named_parameters(), self.ema, strict=True):
-            tensors |= {f"net.{name}": p, f"ema.{name}": average}
-            tensors |= {f"adam.{name}.{key}": value for key, value in self.optimiser.state[p].items()}
+        tensors = self.state()
         if not all(bool(tensor.isfinite().all()) for tensor in tensors.values()):
             raise self.lost(f"the weights are no longer finite after step {self.step}")
-        content = self.identity | {"step": self.step, "history": self.history}
-        storage.write(self.path, "checkpoint", tensors, content)
+        content = self.identity | {"step": self.step, "history": self.history, "seconds": self.seconds}
+        try:
+            storage.write(self.path, "checkpoint", tensors, content)
+        except OSError as error:
+            what = f"{error.strerror} at step {self.step} (the checkpoint before it is kept)"
+            raise OSError(error.errno, what, str(self.path)) from error
 
     def restore(self) -> None:
         try:
@@ -205,48 +276,22 @@ class _Run:
                 f"{self.path} belongs to a run with another configuration or other data; "
                 "choose another folder, or delete the file to start over"
             )
-        places = {}
-        for (name, p), average in zip(self.net.named_parameters(), self.ema, strict=True):
-            # Laid out in memory like Adam's own: element-wise arithmetic then repeats itself to the last bit.
-            state = {"step": torch.zeros(()), "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
-            self.optimiser.state[p] = state
-            places |= {f"net.{name}": p.detach(), f"ema.{name}": average}
-            places |= {f"adam.{name}.{key}": value for key, value in state.items()}
-        storage.fill(places, tensors, self.path)
-        self.step, self.history = content["step"], content["history"]
+        storage.fill(self.state(), tensors, self.path)
+        self.step, self.history, self.seconds = (content[name] for name in ("step", "history", "seconds"))
 
     def model(self) -> TrainedModel:
         if self.config.ema_decay > 0:
             with torch.no_grad():
                 torch._foreach_copy_(list(self.net.parameters()), self.ema)
         net, size = self.net.cpu().eval(), tuple(self.images.shape[1:])
-        return TrainedModel(net, self.config, self.low, self.high, size, self.history)
+        spent = {"seconds": round(self.seconds, 1), "device": _device_name(self.device)}
+        if self.per_step:
+            spent["seconds_per_step"] = float(np.median(self.per_step))
+        return TrainedModel(net, self.config, self.low, self.high, size, self.history, spent)
 
 
-class _Reporter:
-    """Prints one plain line every few seconds: step, loss, images per second, time left."""
-
-    def __init__(self, progress: bool | str, run: _Run, seconds: float = 5):
-        self.on, self.label = progress is not False, progress if isinstance(progress, str) else "training"
-        self.run, self.seconds = run, seconds
-        self.started = self.printed = time.monotonic()
-        self.first = run.step
-
-    def __call__(self, done: bool) -> None:
-        now = time.monotonic()
-        if not self.on or (now - self.printed < self.seconds and not done):
-            return
-        self.printed = now
-        rate = (self.run.step - self.first) / max(now - self.started, 1e-9)
-        left = (self.run.total - self.run.step) / rate
-        losses = self.run.history["loss"]
-        loss = f"{losses[-1]:.4f}" if losses else "–"
-        state = f"{now - self.started:.0f} s" if done else f"{left // 60:.0f} min {left % 60:02.0f} s left"
-        print(
-            f"{self.label}: step {self.run.step}/{self.run.total}  loss {loss}  "
-            f"{rate * self.run.config.batch_size:.0f} images/s  {state}",
-            flush=True,
-        )
+def _device_name(device: torch.device) -> str:
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
 
 
 def to_network(images: Tensor) -> Tensor:

@@ -1,0 +1,177 @@
+"""Experiments: what models are trained on, and which weights are used."""
+
+import shutil
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from inflate_lib import experiments, paths
+from inflate_lib.augmentation import apply_variants, augment
+from inflate_lib.cache import RETRAIN
+from inflate_lib.datasets import held_out, simulated_sevens
+from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.diffusion import TrainedModel
+from inflate_lib.diffusion.training import simple_loss
+from inflate_lib.experiments import committed_weights, train_models, trained_models, training_cost, training_pairs
+from inflate_lib.profiles import load_profile
+from inflate_lib.sources import load_sevens, resolve_source
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Forty embedded digits with invented descriptors, each of which tells which structure it belongs to."""
+    images = load_sevens("digits").images[:40]
+    number = np.arange(40.0)
+    converged = number != 3
+    axes = np.repeat(number, 60).reshape(40, 30, 2)
+    return xr.Dataset(
+        {
+            "image": (("structure", "row", "column"), images),
+            "converged": ("structure", converged),
+            "height": ("structure", number),
+            "width": ("structure", number / 2),
+            "hull_area": ("structure", number / 3),
+            "medial_axis": (("structure", "point", "axis"), axes),
+        },
+        attrs={"source": "digits"},
+    )
+
+
+def test_every_tenth_structure_is_held_out():
+    assert np.flatnonzero(held_out(40)).tolist() == [9, 19, 29, 39]
+    assert held_out(6265).sum() == 626 and not held_out(9).any()
+
+
+@pytest.mark.parametrize("n_augmented", [36, 100, 10**6])
+def test_no_variant_of_a_held_out_structure_is_trained_on(data, n_augmented):
+    images, conditions = training_pairs(data, "height", n_augmented)
+    seen = set(conditions[:, 0].astype(int))
+    assert seen == set(range(40)) - {3, 9, 19, 29, 39}  # 3 did not converge
+    assert len(images) == len(conditions) <= n_augmented
+    hidden = data["image"].values[held_out(40)]
+    variants = {image.tobytes() for image in apply_variants(hidden, augment(hidden))}
+    assert not variants & {image.tobytes() for image in images}
+
+
+def test_the_split_follows_the_position_in_the_whole_data_set(data):
+    """A structure that fails must not move the others into or out of the held-out part."""
+    failed = data.assign(converged=("structure", np.arange(40) >= 5))
+    kept = set(training_pairs(failed, "height", 100)[1][:, 0].astype(int))
+    assert kept == set(range(5, 40)) - {9, 19, 29, 39}
+
+
+# --- which weights -------------------------------------------------------------------------------------------------
+
+TRAINING = {"channels": [4, 8], "embedding": 16, "steps": 4, "batch_size": 8, "learning_rate": 1e-3}
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    """A checkout with trained weights of one descriptor."""
+    home = tmp_path_factory.mktemp("home")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paths, "CACHE", home / "cache")
+        file = train_models(["box"], TRAINING, data, 100, log=home / "logs")["box"]
+    model = TrainedModel.load(file)
+    model.metadata |= {"profile": "small"}
+    model.save(home / "data" / "pretrained" / "small" / "box.safetensors", half=True)
+    return home
+
+
+@pytest.fixture
+def home(trained, tmp_path, monkeypatch):
+    """A copy of it with an empty cache, in which every attempt to train is an error."""
+    shutil.copytree(trained / "data", tmp_path / "data")
+    monkeypatch.setattr(paths, "ROOT", tmp_path)
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path / "data" / "pretrained")
+    monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
+    monkeypatch.delenv(RETRAIN, raising=False)
+
+    def no_training(names, *_):
+        raise RuntimeError(f"would train {names}")
+
+    monkeypatch.setattr(experiments, "train_models", no_training)
+    return tmp_path
+
+
+def test_weights_tell_what_they_were_made_from(trained):
+    model = TrainedModel.load(trained / "data" / "pretrained" / "small" / "box.safetensors")
+    about = model.metadata
+    assert about["descriptor"] == "box" and about["source"] == "digits" and about["profile"] == "small"
+    assert about["structures"] == 39 and about["pairs"] == about["n_augmented"] == 100
+    assert about["held_out"] == "index % 10 == 9" and about["held_out_loss"] > 0 and about["seconds"] > 0
+    assert model.config.channels == (4, 8) and len(model.condition_min) == 2
+    rows = (trained / "logs" / "box" / "history.csv").read_text().splitlines()
+    assert rows[0] == "step,loss,simple,vlb,seconds"
+    np.testing.assert_allclose([float(row.split(",")[1]) for row in rows[1:]], model.history["loss"])
+
+
+def test_committed_weights_are_used_where_they_fit(home, data, capsys):
+    models = trained_models(["box"], {**TRAINING, "device": "cpu", "checkpoint_every": 3}, data, 100)
+    assert models["box"].metadata["profile"] == "small"
+    assert capsys.readouterr().out == "weights from data/pretrained/small: box\n"
+
+
+def test_other_digits_of_the_simulation_are_no_other_data(home, data):
+    jittered = data.assign(height=data["height"] * (1 + 1e-9))
+    assert trained_models(["box"], TRAINING, jittered, 100)
+
+
+@pytest.mark.parametrize("what", ["recipe", "seed", "pairs", "images", "simulation", "retrain"])
+def test_and_not_where_they_do_not(home, data, monkeypatch, capsys, what):
+    training, n_augmented, seed = TRAINING, 100, 0
+    if what == "recipe":
+        training = {**TRAINING, "learning_rate": 2e-3}
+    elif what == "seed":
+        seed = 1
+    elif what == "pairs":
+        n_augmented = 101
+    elif what == "images":
+        data = data.assign(image=data["image"][::-1])
+    elif what == "simulation":
+        data = data.assign(height=data["height"] * 1.001)
+    else:
+        monkeypatch.setenv(RETRAIN, "1")
+    with pytest.raises(RuntimeError, match="would train"):
+        trained_models(["box"], training, data, n_augmented, seed)
+    reasons = {"pairs": "n_augmented", "images": "data", "simulation": "simulation"}
+    text = capsys.readouterr().out
+    assert "trained for this run: box" in text
+    assert (f"box.safetensors is of another {reasons.get(what)}\n" in text) == (what in reasons)
+
+
+def test_damaged_weights_are_named(home, data):
+    path = home / "data" / "pretrained" / "small" / "box.safetensors"
+    path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(ValueError, match=r"small/box\.safetensors is truncated"):
+        trained_models(["box"], TRAINING, data, 100)
+
+
+@pytest.mark.slow
+@pytest.mark.mnist
+@pytest.mark.parametrize(
+    "path", sorted(paths.PRETRAINED.glob("*/*.safetensors")), ids=lambda path: f"{path.parent.name} {path.stem}"
+)
+def test_committed_weights_are_those_of_their_profile_and_still_mean_what_they_meant(path):
+    """A changed profile, data set or network would otherwise go unnoticed until somebody trains for an evening."""
+    if resolve_source() != "mnist":
+        pytest.skip("MNIST cannot be had: the committed weights are not checked")
+    name, profile = path.stem, path.parent.name
+    given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
+    data = simulated_sevens("mnist")
+    assert committed_weights(name, given["training"], data, given["n_augmented"], given["seed"]) == (path, "")
+    model = TrainedModel.load(path)
+    assert model.metadata["descriptor"] == name and model.metadata["profile"] == profile
+    unseen = data.isel(structure=np.flatnonzero(data["converged"].values & held_out(data.sizes["structure"])))
+    loss = simple_loss(model, unseen["image"].values, descriptor_matrix(unseen, name))
+    assert loss == pytest.approx(model.metadata["held_out_loss"], rel=5e-3)  # 16 bits
+
+
+def test_a_dry_run_projects_the_whole_training(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "CACHE", tmp_path)
+    cost = training_cost(["height", "area"], {**TRAINING, "steps": 5000}, data, 100, steps=6)
+    assert cost["descriptor"].tolist() == ["height", "area"] and (cost["steps"] == 5000).all()
+    np.testing.assert_allclose(cost["hours"], cost["seconds per step"] * 5000 / 3600)
+    np.testing.assert_allclose(cost["images per second"], 8 / cost["seconds per step"])
+    assert not list(tmp_path.iterdir())  # nothing is kept
