@@ -8,9 +8,6 @@ in each round, and the median counts. Then all sevens on two processes, started 
 in one. Writes data/reference/scale.csv and scale.json, which says where it comes from.
 """
 
-import json
-import os
-import platform
 import time
 from typing import Annotated
 
@@ -19,13 +16,10 @@ import pandas as pd
 import typer
 from distributed import LocalCluster
 from joblib.externals.loky import get_reusable_executor
-from rich.console import Console
-from rich.table import Table
+from stored import store
 from threadpoolctl import threadpool_limits
 
-from inflate_lib import contact, datasets, descriptors, inflation, paths, simulate_dataset, sources, structures
-from inflate_lib.cache import code_version
-from inflate_lib.publishing import package_versions
+from inflate_lib import contact, datasets, descriptors, inflation, simulate_dataset, sources, structures
 
 CORES = 2
 WHOLE = {10: 60, 1: 35}  # load steps → seconds in which all sevens are to be done on two cores
@@ -112,28 +106,11 @@ def main(
         taken = seconds(simulate_dataset, sevens.images, CORES, n_steps, progress_text=False)
         rows.append(row("2 processes, to be started", n_steps, len(sevens.images), CORES, taken))
 
-    table = Table(title=f"wall time × cores; median of {repeats} rounds in turn")
-    for column in ("way to work", "load steps", "structures", "s", "ms per structure", "overhead, ms", "overhead"):
-        table.add_column(column, justify="left" if column == "way to work" else "right")
-    for r in rows:
-        over = ("", "") if np.isnan(r["overhead_ms"]) else (f"{r['overhead_ms']:.2f}", f"{r['overhead_percent']:.0f} %")
-        counts = (str(r["load_steps"]), str(r["structures"]), f"{r['seconds']:.2f}", f"{r['ms']:.2f}")
-        table.add_row(r["way"], *counts, *over)
-    Console(width=110).print(table)
     print(f"bars: all sevens in {WHOLE[10]} s (ten load steps) and {WHOLE[1]} s (one)")
     second = nominal_second(images[:200])
     print(f"a second of a time limit took {second:.2f} s here")
-    pd.DataFrame(rows).to_csv(paths.REFERENCE / "scale.csv", index=False, float_format="%.4g")
-    note = {
-        "made_by": "benchmarks/scale.py",
-        "data": sevens.description,
-        "repeats": repeats,
-        "nominal_second": round(second, 3),
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
-        "code_version": code_version("inflate_lib"),
-        "packages": package_versions(),
-    }
-    (paths.REFERENCE / "scale.json").write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")
+    note = {"data": sevens.description, "repeats": repeats, "nominal_second": round(second, 3)}
+    store(pd.DataFrame(rows), "scale", "scale.py", times="wall clock, median of the rounds", **note)
 
 
 if __name__ == "__main__":

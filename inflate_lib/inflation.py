@@ -38,7 +38,7 @@ SPEED = 1.5e9  # multiply-adds per second of the nominal core that turns a time 
 ASSEMBLY = 300  # multiply-adds per element and factorisation
 MAX_MOVE = 0.1  # largest nodal move of one Newton iteration, in lengths of the unit square
 MIN_J = 0.05  # smallest area ratio allowed on the way
-TOLERANCE = 1e-12  # largest nodal move of an iteration at which a load step has converged
+TOLERANCE = 1e-11  # largest nodal move of an iteration at which a load step has converged
 ROUNDED = 1e-8  # the same where rounding keeps the moves from shrinking any further
 REUSE = 3e-5  # nodal move of an iteration from which on the tangent is kept
 
@@ -256,7 +256,9 @@ def shape_gradients(corners):
     xi, eta = _GAUSS[:, :1], _GAUSS[:, 1:]
     local = np.stack([_CORNERS[:, 0] * (1 + eta * _CORNERS[:, 1]), _CORNERS[:, 1] * (1 + xi * _CORNERS[:, 0])], -1) / 4
     jacobian = np.einsum("mai,qaj->mqij", corners, local)
-    return np.einsum("qaj,mqji->mqai", local, np.linalg.inv(jacobian)), np.linalg.det(jacobian)
+    cofactor = material.cofactor(jacobian)
+    weights = np.sum(jacobian[..., 0, :] * cofactor[..., 0, :], axis=-1)
+    return np.einsum("qaj,mqij->mqai", local, cofactor) / weights[..., None, None], weights
 
 
 @dataclass(frozen=True)
@@ -366,6 +368,21 @@ def _dilatations(corners, kind, dilatation, J, c):
                 c[e, q, a, 0], c[e, q, a, 1] = cx, cy
                 value += corners[e, a, 0] * cx
             J[e, q] = value
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _along_step(moves, kind, dilatation, c, slope, bend):
+    """The coefficients of J(s) = J + s·slope + s²·bend along a step, (m, d) each, from its moves of the corners."""
+    for e in range(len(moves)):
+        for q in range(dilatation.shape[1]):
+            G, linear, quadratic = dilatation[kind[e], q], 0.0, 0.0
+            for a in range(4):
+                cx = 0.0
+                for b in range(1, 4):
+                    cx += G[a, b] * moves[e, b, 1]
+                linear += c[e, q, a, 0] * moves[e, a, 0] + c[e, q, a, 1] * moves[e, a, 1]
+                quadratic += moves[e, a, 0] * cx
+            slope[e, q], bend[e, q] = linear, quadratic
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
@@ -483,7 +500,7 @@ def _march(
     corners, moves = np.empty((m, 4, 2)), np.empty((m, 4, 2))
     edge_corners, no_edges_move = np.empty((len(edges), 2, 2)), np.zeros((m, 4, 2))
     J, log_j, c, pi = np.empty((m, d)), np.empty((m, d)), np.empty((m, d, 4, 2)), np.empty((m, d))
-    slope, bend, c_move = np.empty((m, d)), np.empty((m, d)), np.empty((m, d, 4, 2))
+    slope, bend = np.empty((m, d)), np.empty((m, d))
     step, blocks, inverses = np.empty(2 * n), np.empty(constant.shape), np.empty((n, 4))
 
     positions = np.empty((len(pressures), 2 * n))
@@ -530,13 +547,7 @@ def _march(
                 if not np.isfinite(length):
                     break
                 _gather(step, cells, no_edges_move, moves)
-                _dilatations(moves, kind, dilatation, bend, c_move)
-                for e in range(m):
-                    for q in range(d):
-                        along = 0.0
-                        for a in range(4):
-                            along += c[e, q, a, 0] * moves[e, a, 0] + c[e, q, a, 1] * moves[e, a, 1]
-                        slope[e, q] = along
+                _along_step(moves, kind, dilatation, c, slope, bend)
                 s = _largest_step(J, slope, bend, min(1.0, MAX_MOVE / max(length, MAX_MOVE)))
                 for i in range(2 * n):
                     trial[i] += s * step[i]

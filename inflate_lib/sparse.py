@@ -98,7 +98,8 @@ def _eliminate(n, cells, valence):
         start[j + 1] = end
         for node in members[start[j] : end]:
             kept, neighbours, stamp = 0, end - start[j] - 1, stamp + 1
-            counted[members[start[j] : end]] = stamp
+            for k in range(start[j], end):
+                counted[members[k]] = stamp
             for e in elements[node, : n_elements[node]]:
                 if not merged[e]:
                     elements[node, kept] = e

@@ -28,6 +28,7 @@ class TrainingConfig:
     objective: str = "epsilon"  # what the network predicts: "epsilon" (paper) or "v"
     vlb_weight: float = 0.001  # λ of the hybrid loss
     min_snr: float = 0.0  # γ of min-SNR weighting (Hang et al. 2023 take 5); 0: the plain L_simple
+    timestep_draws: int = 1  # of so many uniform draws of t the noisiest trains; 1: uniform (paper), 2: density ∝ t
     condition_dropout: float = 0.1  # share of the structures whose descriptor is withheld
     steps: int | None = None
     epochs: int | None = None

@@ -194,7 +194,8 @@ class _Run:
         config, n = self.config, len(rows)
         # On the CPU and for the whole batch: the same numbers for every device and however many processes share it.
         generator = random_generator(config.seed, 2, self.step)
-        t = torch.randint(config.T, (n,), generator=generator)
+        # The descriptor decides most where the noise is strong: the largest of k draws has a density ∝ t^(k − 1).
+        t = torch.randint(config.T, (config.timestep_draws, n), generator=generator).amax(0)
         dropped = torch.rand(n, generator=generator) < config.condition_dropout
         noise = torch.randn((n, 1, *self.images.shape[1:]), generator=generator)
         mine = slice(ranks.rank(), None, ranks.world())
