@@ -56,12 +56,16 @@ def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False, retr
 def dataset(
     source: Annotated[str, typer.Option(help="auto, mnist or digits.")] = "auto",
     structures: Annotated[int | None, typer.Option(help="How many sevens (all by default).")] = None,
-    dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://host:8786.")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes (one per core by default).")] = None,
+    backend: Annotated[str | None, typer.Option(help="loky, threading, multiprocessing, sequential.")] = None,
+    dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler that works: tcp://host:8786.")] = None,
 ) -> None:
     """Inflate the sevens, store the data set, print a summary."""
     from inflate_lib.datasets import simulated_sevens
 
-    print(simulated_sevens(source=source, n_structures=structures, cluster=dask))
+    if backend and dask:
+        raise ValueError("--backend says who works here, --dask who works elsewhere: give one of them")
+    print(simulated_sevens(source=source, n_structures=structures, n_jobs=jobs, backend=dask or backend))
 
 
 @app.command()
@@ -72,16 +76,20 @@ def simulate(
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Picture: undeformed, and deformed and coloured.")] = None,
     gif: Annotated[Path | None, typer.Option(help="Animation of the load steps (.gif).")] = None,
-    vtk: Annotated[Path | None, typer.Option(help="ParaView: name.pvd with one name_000.vtu, … per load step.")] = None,
+    vtk: Annotated[Path | None, typer.Option(help="ParaView: out.pvd with one out_000.vtu, … per load step.")] = None,
     moose: Annotated[Path | None, typer.Option(help="Folder for MOOSE's input (.i) and mesh (.e).")] = None,
     engine: Annotated[str, typer.Option(help="built-in, or moose where it is on the PATH.")] = "built-in",
     colour: Annotated[str, typer.Option(help="von-mises or stretch.")] = "von-mises",
     lame: Annotated[tuple[float, float], typer.Option(help="Lamé parameters λ and μ.")] = (16.44, 0.1644),
-    pressure: Annotated[float, typer.Option(help="Pressure at t = 1.")] = 0.01,
+    pressure: Annotated[float | None, typer.Option(help="Pressure at t = 1 (0.01 by default).")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, max=10_000, help="Load steps (10 by default).")] = None,
+    history: Annotated[
+        str | None, typer.Option(help="One pressure per load step instead: 0.005,0.01,0, or a file with one per line.")
+    ] = None,
     wall: Annotated[int, typer.Option(min=1, max=12, help="Thickness of the wall in pixels.")] = 2,
+    clamp: Annotated[str, typer.Option(help="Clamped edge: bottom, left, top or right.")] = "bottom",
     refine: Annotated[int, typer.Option(min=1, max=16, help="Elements per pixel and direction.")] = 1,
     element: Annotated[str, typer.Option(help="mean-dilatation or q1.")] = "mean-dilatation",
-    steps: Annotated[int, typer.Option(min=1, max=10_000, help="Load steps.")] = 10,
     resize: Annotated[bool, typer.Option("--resize", help="Fit pictures of another size into 28 × 28.")] = False,
     invert: Annotated[bool, typer.Option("--invert", help="For black on white.")] = False,
 ) -> None:
@@ -89,11 +97,17 @@ def simulate(
 
     With several structures, the name of each goes into the names of its files. Exit code 1 where one failed.
     """
-    from inflate_lib.simulate import Options, report, simulate_files
+    from inflate_lib.inflation import PRESSURE
+    from inflate_lib.simulate import Options, read_history, report, simulate_files
 
+    if history is not None and (pressure, steps) != (None, None):
+        raise ValueError("history gives the pressures and their number: leave out --pressure and --steps")
+    if history is not None:
+        pressure = read_history(history)
     options = Options(
-        lame=lame, pressure=pressure, wall=wall, refine=refine, element=element, n_steps=steps, resize=resize,
-        invert=invert, colour=colour, engine=engine, plot=plot, gif=gif, vtk=vtk, moose=moose,
+        lame=lame, pressure=PRESSURE if pressure is None else pressure, n_steps=steps, wall=wall, clamped=clamp,
+        refine=refine, element=element, resize=resize, invert=invert, colour=colour, engine=engine, plot=plot, gif=gif,
+        vtk=vtk, moose=moose,
     )  # fmt: skip
     if report(simulate_files(images, options), json, options):
         raise typer.Exit(1)

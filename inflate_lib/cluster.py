@@ -69,6 +69,19 @@ def run(address, function, tasks):
             yield numbers.pop(future.key), result
 
 
+def current_address():
+    """Address of the scheduler of this process's ``distributed.Client``; a ValueError where there is none."""
+    try:
+        from distributed import get_client
+
+        return get_client().scheduler.address
+    except (ImportError, ValueError):
+        raise ValueError(
+            "backend 'dask' needs a distributed.Client in this process; or give the address of a scheduler, "
+            "tcp://host:8786"
+        ) from None
+
+
 def _checked(code, function, task):
     """Runs on a worker: the call, unless this worker has other code than the one who asks."""
     if _code() != code:

@@ -43,7 +43,7 @@ def crossing_edges(result, step=-1):
     edges, positions = boundary_edges(result.cells), result.deformed(step)
     pairs = np.empty((int(_count_crossings(positions, edges)), 2), dtype=np.int64)
     _find_crossings(positions, edges, pairs)
-    return edges[pairs]
+    return edges[pairs[np.lexsort(pairs.T[::-1])]]
 
 
 def boundary_edges(cells):
@@ -72,26 +72,34 @@ def _count_crossings(x, edges):
 
 @njit(cache=True, nogil=True)
 def _find_crossings(x, edges, pairs):
-    """Number of proper crossings; the first ones are written to `pairs`, as many as it has rows."""
-    count = 0
-    for e in range(len(edges)):
+    """Number of proper crossings; the first ones are written to `pairs`, as many as it has rows.
+
+    A sweep from left to right: an edge is held against those that begin before it ends, which are few.
+    """
+    count, n = 0, len(edges)
+    left, right, bottom, top = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    for e in range(n):
         i, j = edges[e]
-        left, right = min(x[i, 0], x[j, 0]), max(x[i, 0], x[j, 0])
-        bottom, top = min(x[i, 1], x[j, 1]), max(x[i, 1], x[j, 1])
-        for f in range(e + 1, len(edges)):
+        left[e], right[e] = min(x[i, 0], x[j, 0]), max(x[i, 0], x[j, 0])
+        bottom[e], top[e] = min(x[i, 1], x[j, 1]), max(x[i, 1], x[j, 1])
+    order = np.argsort(left)
+    for first in range(n):
+        e = order[first]
+        i, j = edges[e]
+        for f in order[first + 1 :]:
+            if left[f] > right[e]:
+                break
+            # NaN fails every comparison and ends at the last test
+            if bottom[f] > top[e] or top[f] < bottom[e]:
+                continue
             k, m = edges[f]
-            # most pairs are far apart; NaN fails every comparison and ends at the last test
-            if max(x[k, 0], x[m, 0]) < left or min(x[k, 0], x[m, 0]) > right:
-                continue
-            if max(x[k, 1], x[m, 1]) < bottom or min(x[k, 1], x[m, 1]) > top:
-                continue
             if i in (k, m) or j in (k, m):
                 continue
             here = _side(x, i, j, k) * _side(x, i, j, m)
             there = _side(x, k, m, i) * _side(x, k, m, j)
             if here < 0 and there < 0:
                 if count < len(pairs):
-                    pairs[count, 0], pairs[count, 1] = e, f
+                    pairs[count, 0], pairs[count, 1] = min(e, f), max(e, f)
                 count += 1
     return count
 

@@ -8,21 +8,27 @@ import os
 import platform
 import zlib
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
-import xarray as xr
-from joblib import Parallel, delayed
+from joblib import Parallel, delayed, effective_n_jobs
+from joblib.parallel import BACKENDS, EXTERNAL_BACKENDS, get_active_backend
 
 import inflate_lib
-from inflate_lib import contact, descriptors, inflation, material, mesh, progress, skyline, sources, structures
+from inflate_lib import cluster, contact, descriptors, inflation, material, mesh, progress, sources, sparse, structures
 from inflate_lib.cache import cached, code_version, digest
 from inflate_lib.descriptors import AXIS_POINTS
 
+# xarray is imported where it is used: the processes that simulate need none, and start in half the time without.
+
 SIZE = 28  # pixels
-CHUNK = 64  # structures per unit of work, which is what a killed run can lose
+PIECE = 32  # structures per unit of work, which is what a killed run can lose; fewer where there are few in all
+ALONE = 128  # as many structures are done in this process before others have started
+TIME_LIMIT = 1.0, 0.1  # seconds allowed for a structure, or per load step if that is more; see `inflation.inflate`
 
 _UNITS = {
     "height": ("deformed height h", "1"),
@@ -39,64 +45,73 @@ _UNITS = {
 }
 
 
-def simulate_dataset(images, n_jobs=-1, n_steps=10, progress_text=True, folder=None, cluster=None):
+def simulate_dataset(images, n_jobs=None, n_steps=10, progress_text=True, folder=None, backend=None, time_limit=None):
     """Label, inflate and describe many images.
 
     Parameters
     ----------
     images : (n, 28, 28) array_like, or a sequence of images
         uint8, or float in [0, 1]. What is no usable image is not an error: its row holds the reason.
-    n_jobs : int
-        Processes; -1 for one per core, 1 for none besides this one.
+    n_jobs : int, optional
+        Processes; -1 for one per core, 1 for none besides this one. By default what an active
+        ``joblib.parallel_config`` says, else one per core. Up to `ALONE` images never leave this process.
     n_steps : int
         Load steps of each inflation.
     progress_text : bool
         Print a line every few seconds.
     folder : path_like, optional
-        Where finished parts are kept: a run that was killed goes on from them.
-    cluster : str, optional
-        Address of the scheduler of a Dask cluster, ``tcp://host:8786``, that works instead of local processes. Its
-        workers need this version of ``inflate_lib``, and no access to `folder`.
+        Where finished pieces are kept: a run that was killed goes on from them.
+    backend : str, optional
+        Who works: a backend of joblib by name (``"loky"``, ``"threading"``, ``"multiprocessing"``, ``"sequential"``,
+        or one that was registered), or the address of the scheduler of a Dask cluster, ``"tcp://host:8786"``, whose
+        workers need this version of ``inflate_lib``, and no access to `folder`. By default what an active
+        ``joblib.parallel_config`` says, else local processes (loky). The data set is the same to the last bit.
+    time_limit : float, optional
+        Seconds of a nominal core after which a structure is given up, see :func:`inflate_lib.inflate`; by default 1,
+        or 0.1 per load step if that is more.
 
     Returns
     -------
     xarray.Dataset
         One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged),
         height, width, hull_area, medial_axis (structure, point, axis), factorisations, self_contact, contact_step
-        (see :mod:`inflate_lib.contact`). Descriptors are in lengths and
-        areas of the unit square, NaN where not converged.
+        (see :mod:`inflate_lib.contact`). Descriptors are in lengths and areas of the unit square, NaN where not
+        converged.
 
     Raises
     ------
     ValueError
-        Where `images` is no sequence of images at all, or `n_jobs` or `n_steps` is out of range.
+        Where `images` is no sequence of images at all, or another argument is out of range or unknown.
     RuntimeError
-        Where the Dask cluster does not answer or fails; a worker that dies is no failure.
+        Where a local process dies, or the Dask cluster does not answer or fails (a worker of it that dies is no
+        failure). What is in `folder` by then is not done again.
     """
     images = _as_sequence(images)
+    if n_jobs is None:
+        n_jobs = get_active_backend()[1] or -1
     if isinstance(n_jobs, bool) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
         raise ValueError(f"n_jobs must be 1, 2, … processes or -1 for one per core, not {n_jobs!r}")
     inflation.check_steps(n_steps)
-    starts = range(0, len(images), CHUNK)
-    parts = (images[start : start + CHUNK] for start in starts)
-    if folder is None:
-        jobs = (delayed(_simulate)(part, n_steps) for part in parts)
-    else:
+    if time_limit is None:
+        time_limit = max(TIME_LIMIT[0], TIME_LIMIT[1] * n_steps)
+    inflation.check_time_limit(time_limit)
+    address = _check_backend(backend)
+    if folder is not None:
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        numbered = zip(parts, starts, strict=True)
-        jobs = (delayed(_simulate_once)(part, n_steps, folder, start) for part, start in numbered)
-    workers = 1 if len(images) <= CHUNK else n_jobs
-    if cluster is None:
-        done = Parallel(n_jobs=workers, return_as="generator")(jobs)
-    else:
-        done = _simulate_on_cluster(cluster, images, starts, n_steps, folder)
+
+    def run(tasks):
+        if address is not None:
+            return cluster.run(address, _simulate, tasks)
+        return _run_here(_simulate, tasks, 1 if len(images) <= ALONE else n_jobs, backend)
+
+    done = _pieces(images, n_steps, time_limit, folder, run)
     if progress_text:
-        done = progress.track(((len(part["height"]), part) for part in done), len(images), "inflating structures")
+        done = progress.track(((len(rows["height"]), rows) for rows in done), len(images), "inflating structures")
     return _assemble(list(done), n_steps)
 
 
-def simulated_sevens(source="auto", n_structures=None, n_jobs=-1, cluster=None):
+def simulated_sevens(source="auto", n_structures=None, n_jobs=None, backend=None):
     """The simulated sevens, computed once and kept on disk.
 
     Parameters
@@ -105,30 +120,32 @@ def simulated_sevens(source="auto", n_structures=None, n_jobs=-1, cluster=None):
         See :func:`inflate_lib.sources.load_sevens`.
     n_structures : int, optional
         Only the first ones.
-    n_jobs : int
-        Processes; -1 for one per core.
-    cluster : str, optional
-        Address of a Dask scheduler, see :func:`simulate_dataset`.
+    n_jobs, backend
+        Who works, see :func:`simulate_dataset`.
 
     Returns
     -------
     xarray.Dataset
         See :func:`simulate_dataset`.
     """
-    return load_dataset(simulated_sevens_file(source, n_structures, n_jobs, cluster))
+    return load_dataset(simulated_sevens_file(source, n_structures, n_jobs, backend))
 
 
-def simulated_sevens_file(source="auto", n_structures=None, n_jobs=-1, cluster=None):
+def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend=None):
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
     sevens = sources.load_sevens(source, limit=n_structures)
-    code = code_version(structures, mesh, skyline, material, inflation, descriptors, contact, __name__)
 
     def make(target, scratch):
-        data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch, cluster=cluster)
-        data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": code}
+        data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch, backend=backend)
+        data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": _code()}
         save_dataset(data, target)
 
-    return cached("dataset", {"images": digest(sevens.images), "steps": 10, "code": code}, make, ".nc")
+    return cached("dataset", {"images": digest(sevens.images), "steps": 10, "code": _code()}, make, ".nc")
+
+
+@cache
+def _code():
+    return code_version(structures, mesh, sparse, material, inflation, descriptors, contact, __name__)
 
 
 def held_out(n):
@@ -158,6 +175,8 @@ def load_dataset(path):
     ValueError
         Where the file is missing, or is no data set of inflated structures.
     """
+    import xarray as xr
+
     try:
         data = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, KeyError, ValueError) as error:
@@ -179,14 +198,99 @@ def _as_sequence(images):
     return images
 
 
-def _simulate(images, n_steps):
+def _check_backend(backend):
+    """The address of the Dask scheduler that `backend` means, or None where joblib does the work."""
+    known = sorted({*BACKENDS, *EXTERNAL_BACKENDS})
+    if backend is None:
+        active, _ = get_active_backend()
+        return active.client.scheduler.address if isinstance(active, BACKENDS.get("dask", ())) else None
+    if isinstance(backend, str):
+        if "://" in backend:
+            return backend
+        if backend == "dask":
+            return cluster.current_address()
+        if backend in known:
+            return None
+    raise ValueError(
+        f"unknown backend {backend!r}; choose one of {', '.join(known)}, or give the address of a Dask scheduler, "
+        "tcp://host:8786"
+    )
+
+
+def _run_here(function, tasks, n_jobs, backend):
+    """Number of each task and its result, in the order in which joblib finishes them."""
+    calls = (delayed(_numbered)(number, function, task) for number, task in enumerate(tasks))
+    options = {"n_jobs": n_jobs, "backend": backend, "batch_size": 1}
+    try:
+        parallel = Parallel(**options, return_as="generator_unordered")
+    except ValueError:  # "multiprocessing" hands over results at the end only: have many ends
+        with Parallel(**options) as parallel:
+            while some := list(islice(calls, 4 * effective_n_jobs(n_jobs))):
+                yield from parallel(some)
+    else:
+        yield from parallel(calls)
+
+
+def _numbered(number, function, task):
+    return number, function(*task)
+
+
+def _pieces(images, n_steps, time_limit, folder, run):
+    """The rows of all images piece by piece, in order.
+
+    Each piece is stored here, where the results come together, as soon as it is there: workers need not see `folder`.
+    """
+    size = min(PIECE, -(-len(images) // 16))  # 16: even a few images are shared out evenly
+    starts = range(0, len(images), size)
+
+    def read(number):
+        return _read(images, starts[number], min(starts[number] + size, len(images)))
+
+    def file(number):
+        piece, reasons = read(number)
+        key = digest(piece, repr((reasons, n_steps, float(time_limit))), _code())
+        return folder / f"{starts[number]:06d}-{key[:16]}.npz"
+
+    files = {} if folder is None else {number: file(number) for number in range(len(starts))}
+    there = {number: rows for number, path in files.items() if (rows := _stored(path)) is not None}
+    missing = [number for number in range(len(starts)) if number not in there]
+    new = run((*read(number), n_steps, time_limit) for number in missing) if missing else iter(())
+    for number in range(len(starts)):
+        while number not in there:
+            task, rows = next(new)
+            if folder is not None:
+                _store(files[missing[task]], rows)
+            there[missing[task]] = rows
+        yield there.pop(number)
+
+
+def _read(images, start, stop):
+    """Images as one array, zero where one is unusable, and the reasons, empty where it is usable.
+
+    Whatever an image may be, workers get numbers.
+    """
+    whole_numbers = getattr(images, "dtype", None) == np.uint8
+    usable = np.zeros((stop - start, SIZE, SIZE), dtype=np.uint8 if whole_numbers else float)
+    reasons = [""] * len(usable)
+    for i in range(len(usable)):
+        try:
+            grey = structures.as_grey(images[start + i])
+            usable[i] = images[start + i] if whole_numbers else grey
+        except ValueError as error:
+            reasons[i] = str(error)
+        except Exception as error:  # a foreign object may raise anything when it is taken for an array
+            reasons[i] = f"image cannot be read ({type(error).__name__}: {error})"
+    return usable, reasons
+
+
+def _simulate(images, reasons, n_steps, time_limit):
     """The rows of a few images, as a dict of arrays."""
     n = len(images)
     rows = {
-        "image": np.zeros((n, SIZE, SIZE), dtype=np.uint8),
+        "image": images if images.dtype == np.uint8 else images.astype(np.float32),
         "label": np.zeros((n, SIZE, SIZE), dtype=np.float32),
         "converged": np.zeros(n, dtype=bool),
-        "reason": [""] * n,
+        "reason": list(reasons),
         "height": np.full(n, np.nan),
         "width": np.full(n, np.nan),
         "hull_area": np.full(n, np.nan),
@@ -195,70 +299,30 @@ def _simulate(images, n_steps):
         "self_contact": np.zeros(n, dtype=np.int32),
         "contact_step": np.zeros(n, dtype=np.int32),
     }
-    whole_numbers = getattr(images, "dtype", None) == np.uint8
-    if not whole_numbers:
-        rows["image"] = np.zeros((n, SIZE, SIZE), dtype=np.float32)
     for i, image in enumerate(images):
+        if rows["reason"][i]:
+            continue
         try:
-            grey = structures.as_grey(image)
-            rows["image"][i] = image if whole_numbers else grey
             rows["label"][i] = label = structures.label_image(image)
-            result = inflation.inflate(label, n_steps=n_steps)
+            result = inflation.inflate(label, n_steps=n_steps, time_limit=time_limit)
+            rows["factorisations"][i], rows["reason"][i] = result.factorisations, result.reason
+            if not result.converged:
+                continue
+            shape = descriptors.describe(result)
         except ValueError as error:
             rows["reason"][i] = str(error)
             continue
-        rows["converged"][i], rows["reason"][i] = result.converged, result.reason
-        rows["factorisations"][i] = result.factorisations
-        if result.converged:
-            shape = descriptors.describe(result)
-            rows["height"][i], rows["width"][i], rows["hull_area"][i] = shape.height, shape.width, shape.hull_area
-            rows["medial_axis"][i] = shape.medial_axis
-            rows["self_contact"][i] = contact.self_contact(result)
-            first = contact.first_contact(result)
-            rows["contact_step"][i] = 0 if first is None else first + 1
+        rows["converged"][i] = True
+        rows["height"][i], rows["width"][i], rows["hull_area"][i] = shape.height, shape.width, shape.hull_area
+        rows["medial_axis"][i] = shape.medial_axis
+        if (first := contact.first_contact(result)) is not None:
+            rows["contact_step"][i], rows["self_contact"][i] = first + 1, contact.self_contact(result)
     rows["reason"] = np.array(rows["reason"])
     return rows
 
 
-def _simulate_once(images, n_steps, folder, start):
-    """As `_simulate`, but read from `folder` where an earlier run finished it for the same images."""
-    path = _part_file(images, n_steps, folder, start)
-    rows = _stored(path)
-    if rows is None:
-        rows = _simulate(images, n_steps)
-        _store(path, rows)
-    return rows
-
-
-def _simulate_on_cluster(address, images, starts, n_steps, folder):
-    """Parts in order; each is stored here, where the results come together, as soon as it is there."""
-    from inflate_lib.cluster import run
-
-    parts = [images[start : start + CHUNK] for start in starts]
-    files = [_part_file(part, n_steps, folder, start) for part, start in zip(parts, starts, strict=True)]
-    there = {number: rows for number, file in enumerate(files) if (rows := _stored(file)) is not None}
-    missing = [number for number in range(len(parts)) if number not in there]
-    new = run(address, _simulate, ((parts[number], n_steps) for number in missing)) if missing else iter(())
-    for number in range(len(parts)):
-        while number not in there:
-            task, rows = next(new)
-            there[missing[task]] = rows
-            _store(files[missing[task]], rows)
-        yield there.pop(number)
-
-
-def _part_file(images, n_steps, folder, start):
-    """Where the rows of these images are kept; None where they are not."""
-    try:
-        return folder and folder / f"{start:06d}-{n_steps}-{digest(np.asarray(images))[:12]}.npz"
-    except (TypeError, ValueError, RuntimeError):  # ragged or not numeric: nothing to recognise it by
-        return None
-
-
 def _stored(path):
     """Rows from a file, or None where it is not there or damaged."""
-    if path is None:
-        return None
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return dict(stored)
@@ -267,14 +331,14 @@ def _stored(path):
 
 
 def _store(path, rows):
-    if path is None:
-        return
     draft = path.with_name(f".{os.getpid()}-{path.name}")
     np.savez(draft, **rows)
     os.replace(draft, path)
 
 
 def _assemble(parts, n_steps):
+    import xarray as xr
+
     dims = {"image": ("structure", "row", "column"), "label": ("structure", "row", "column")}
     dims["medial_axis"] = ("structure", "point", "axis")
     variables = {

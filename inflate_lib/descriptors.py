@@ -15,6 +15,8 @@ DESCRIPTORS = {"height": 1, "width": 1, "box": 2, "area": 1, "axis": 2 * AXIS_PO
 class Descriptors:
     """Descriptors of one deformed shape, in lengths (areas) of the unit square.
 
+    They are taken in the fixed frame, x to the right and y upwards, whichever edge the structure is clamped at.
+
     Attributes
     ----------
     height, width : float
@@ -22,8 +24,8 @@ class Descriptors:
     hull_area : float
         Area of their convex hull.
     medial_axis : (30, 2) float
-        Midpoints of the hull's horizontal chords at the heights k h / 30, k = 0, …, 29, from the bottom upwards, moved
-        so that the first is the origin.
+        Midpoints of the hull's horizontal chords at the heights k h / 30, k = 0, …, 29, from the hull's bottom upwards,
+        moved so that the first is the origin.
     """
 
     height: float

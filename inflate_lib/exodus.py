@@ -22,7 +22,14 @@ def write_mesh(mesh, path):
     ----------
     mesh : Mesh
     path : path_like
+
+    Raises
+    ------
+    ValueError
+        For a mesh with nodes that are held in one direction only, which one node set cannot say.
     """
+    if mesh.clamped.ndim > 1:
+        raise ValueError("mesh: nodes that are held in one direction only cannot be written to an Exodus file")
     elements, sides = pressure_sides(mesh)
     clamped = np.flatnonzero(mesh.clamped)
     sizes = {
@@ -95,15 +102,17 @@ def read_displacement(path, nodes):
     Raises
     ------
     ValueError
-        Where the file is no Exodus file, lacks ``disp_x`` or ``disp_y``, or has other nodes.
+        Where the file is no Exodus file or half of one, lacks ``disp_x`` or ``disp_y``, or has other nodes.
     """
     try:
-        with xr.open_dataset(path, decode_cf=False) as file:
+        with open(path, "rb") as stream:
+            engine = "scipy" if stream.read(3) == b"CDF" else "h5netcdf"  # others read half a file as zeros
+        with xr.open_dataset(path, engine=engine, decode_cf=False) as file:
             names = ["".join(map(_character, row)) for row in file["name_nod_var"].values]
             times = file["time_whole"].values.astype(float)
             coordinates = np.column_stack([file["coordx"].values, file["coordy"].values])
             fields = [file[f"vals_nod_var{names.index(name) + 1}"].values for name in ("disp_x", "disp_y")]
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError, TypeError, IndexError) as error:
         raise ValueError(f"{path} holds no displacements disp_x, disp_y as Exodus writes them: {error}") from None
     distance, number = cKDTree(coordinates).query(nodes)
     if len(coordinates) != len(nodes) or distance.max() > 1e-9 or len(np.unique(number)) != len(nodes):

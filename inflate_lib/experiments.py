@@ -23,7 +23,7 @@ from inflate_lib import (
     material,
     mesh,
     paths,
-    skyline,
+    sparse,
     structures,
 )
 from inflate_lib.augmentation import apply_variants, augment, augment_descriptors
@@ -318,7 +318,7 @@ def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mappin
         "n_per_target": n_per_target,
         "sampling": sampling,
         "seed": seed,
-        "code": code_version(diffusion, structures, mesh, skyline, material, inflation, descriptors, __name__),
+        "code": code_version(diffusion, structures, mesh, sparse, material, inflation, descriptors, __name__),
     }
     return datasets.load_dataset(cached("experiment", key, make, ".nc"))
 

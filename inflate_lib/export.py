@@ -8,6 +8,7 @@ stress across the plane. With φ′J = (P − μ F) : F / 2, the Cauchy stress i
 and the von Mises stress is that of all of it: √(½ [(σ₁₁ − σ₂₂)² + (σ₂₂ − σ₃₃)² + (σ₃₃ − σ₁₁)²] + 3 σ₁₂²).
 """
 
+import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -141,16 +142,18 @@ def write_vtk(result, path):
     result : Inflation
         Load steps without an equilibrium are left out.
     path : path_like
-        ``name.pvd`` or ``name.vtu``; either way ``name.pvd``, ``name_000.vtu``, ``name_001.vtu``, … are written.
+        ``name.pvd`` or ``name.vtu``; either way ``name.pvd``, ``name_000.vtu``, ``name_001.vtu``, … are written, and
+        with ``name.vtu`` the last load step under that name as well.
 
     Returns
     -------
     list of Path
-        The ``.pvd`` first, then the ``.vtu`` files in the order of time.
+        The ``.pvd`` first, then the ``.vtu`` files in the order of time, then ``name.vtu`` if it was asked for.
     """
     import meshio
 
-    path = _ready(path, ".pvd", ".vtu").with_suffix(".pvd")
+    asked = _ready(path, ".pvd", ".vtu")
+    path = asked.with_suffix(".pvd")
     steps = reached_steps(result)
     points = np.column_stack([result.nodes, np.zeros(len(result.nodes))])
     fields = _cell_fields(result)
@@ -170,6 +173,8 @@ def write_vtk(result, path):
         written.append(file)
     ElementTree.indent(collection)
     ElementTree.ElementTree(collection).write(path, encoding="utf-8", xml_declaration=True)
+    if asked.suffix.lower() == ".vtu":
+        written.append(Path(shutil.copy(written[-1], asked)))
     return written
 
 

@@ -17,13 +17,14 @@ symmetric, and cheap to assemble. Elements differ only in where J is taken: at t
 locks, because λ/μ = 100) or once per element as its mean (``"mean-dilatation"``, the default, which does not).
 """
 
+import reprlib
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numba import njit
 
-from inflate_lib import material, skyline
+from inflate_lib import material, sparse
 from inflate_lib.material import LAMBDA, MU
 from inflate_lib.mesh import Mesh, build_mesh
 
@@ -32,10 +33,14 @@ ELEMENTS = ("mean-dilatation", "q1")
 
 MAX_ITERATIONS = 40  # Newton iterations of one load step
 MAX_HALVINGS = 6  # of a load step that does not converge
-FACTORISATIONS = 1000, 100  # allowed in all, or per load step if that is more; MNIST's sevens take at most 264 in ten
+FACTORISATIONS = 1000, 100  # allowed in all, or per load step if that is more; MNIST's sevens take at most 228 in ten
+SPEED = 1.5e9  # multiply-adds per second of the nominal core that turns a time limit into a number of factorisations
+ASSEMBLY = 300  # multiply-adds per element and factorisation
 MAX_MOVE = 0.1  # largest nodal move of one Newton iteration, in lengths of the unit square
 MIN_J = 0.05  # smallest area ratio allowed on the way
-TOLERANCE = 1e-8  # largest nodal move of a full Newton step at which it counts as converged (the next would be < 1e-12)
+TOLERANCE = 1e-12  # largest nodal move of an iteration at which a load step has converged
+ROUNDED = 1e-8  # the same where rounding keeps the moves from shrinking any further
+REUSE = 3e-5  # nodal move of an iteration from which on the tangent is kept
 
 _GAUSS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / np.sqrt(3)
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -51,9 +56,9 @@ class Inflation:
     element : str
         ``"mean-dilatation"`` or ``"q1"``.
     load_steps : (steps,) float
-        Times t of the load steps; the pressure is ``PRESSURE * t`` unless another one was asked for.
+        Times t of the load steps, equally spaced up to t = 1.
     pressures : (steps,) float
-        Internal pressure at each load step.
+        Internal pressure at each load step: ``PRESSURE * t`` unless another one, or a history, was asked for.
     displacement : (steps, n, 2) float
         Nodal displacement at each load step; NaN from the first load step that did not converge.
     converged : bool
@@ -111,23 +116,32 @@ class Inflation:
         return material.first_piola_kirchhoff(F, self.lame, J)
 
 
-def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU)):
+def inflate(
+    label, n_steps=None, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU), clamped="bottom",
+    time_limit=None,
+):  # fmt: skip
     """Inflate a structure given as a label image.
 
     Parameters
     ----------
     label : (s, s) array_like or Mesh
         Labels 0 (outside), 0.5 (wall), 1 (void), from :func:`inflate_lib.label_image`; or a mesh.
-    n_steps : int
-        Equal load steps t = 1/n, …, 1 (the paper: ten).
+    n_steps : int, optional
+        Equal load steps t = 1/n, …, 1. Ten, as in the paper; or as many as the pressure history has entries.
     element : {"mean-dilatation", "q1"}
         Bilinear quadrilateral with the mean dilatation of Simo, Taylor and Pister (no locking), or plain.
     refine : int
         Sub-elements per pixel and direction; a mesh is taken as it is.
-    pressure : float
-        Internal pressure at t = 1.
+    pressure : float or sequence of float
+        Internal pressure at t = 1, which it grows to in proportion to t; or a history, one pressure per load step,
+        which may rise and fall.
     lame : (float, float)
         Lamé parameters (λ, μ).
+    clamped : {"bottom", "left", "top", "right"}
+        Edge of the image that is held; a mesh has its own. Make the label image with the same edge.
+    time_limit : float, optional
+        Seconds after which to give up, counted on a nominal core of `SPEED`: it becomes a number of factorisations,
+        from the size of the mesh, so that the outcome depends neither on the machine nor on its load.
 
     Returns
     -------
@@ -142,36 +156,75 @@ def inflate(label, n_steps=10, element="mean-dilatation", refine=1, pressure=PRE
     """
     if element not in ELEMENTS:
         raise ValueError(f"element must be one of {', '.join(ELEMENTS)}, not {element!r}")
-    check_steps(n_steps)
+    times, pressures = load_history(pressure, n_steps)
     lam, mu = _numbers("lame", lame, 2, "two positive numbers (λ, μ)")
     if lam <= 0 or mu <= 0:
         raise ValueError(f"lame must be two positive numbers (λ, μ), not {lame!r}")
-    (pressure,) = _numbers("pressure", [pressure], 1, "a finite number")
-    mesh = label if isinstance(label, Mesh) else build_mesh(label, refine)
+    check_time_limit(time_limit)
+    mesh = label if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
 
     system = _System.of(mesh, element, mu)
-    times = np.arange(1, n_steps + 1) / n_steps
-    allowed = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps)
-    positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressure * times, allowed)
+    n_steps = len(pressures)
+    allowed, limit = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps), ""
+    if time_limit is not None and time_limit < allowed * nominal_seconds(system):
+        allowed, limit = int(time_limit / nominal_seconds(system)), f", the time limit of {time_limit:g} s"
+    positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressures, allowed)
     displacement = np.full((n_steps, *mesh.nodes.shape), np.nan)
     displacement[:reached] = 0.0
     free_positions = positions.reshape(n_steps, len(system.order), 2)[:reached]
     displacement[:reached, system.order] = free_positions - mesh.nodes[system.order]
     reason = ""
     if reached < n_steps:
-        last = pressure * times[reached]
-        reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {last:.4g})"
+        reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {pressures[reached]:.4g})"
         if factorisations >= allowed:
-            reason += f" within {allowed} factorisations"
+            reason += f" within {allowed} factorisations{limit}"
     return Inflation(
-        mesh, element, times, pressure * times, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
+        mesh, element, times, pressures, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
     )
+
+
+def load_history(pressure, n_steps=None):
+    """Times t and pressures of the load steps, (steps,) each; `pressure` and `n_steps` are those of :func:`inflate`.
+
+    Raises
+    ------
+    ValueError
+        Where they are no pressure, no history or no number of steps, or contradict each other.
+    """
+    if n_steps is not None:
+        check_steps(n_steps)
+    try:
+        pressures = np.array(pressure, dtype=float)
+    except (TypeError, ValueError, RuntimeError):  # the last from tensors that NumPy cannot take
+        pressures = np.array(np.nan)
+    if pressures.ndim > 1 or not 1 <= pressures.size <= 10_000 or not np.isfinite(pressures).all():
+        shown = reprlib.repr(pressure)
+        raise ValueError(f"pressure must be a finite number, or a history of 1 to 10000 of them, not {shown}")
+    is_history = pressures.ndim == 1
+    if is_history and n_steps not in (None, pressures.size):
+        raise ValueError(f"n_steps is {n_steps}, but the pressure history has {pressures.size} entries: leave it out")
+    n_steps = pressures.size if is_history else n_steps or 10
+    times = np.arange(1, n_steps + 1) / n_steps
+    return times, pressures if is_history else float(pressures) * times
+
+
+def nominal_seconds(system):
+    """Seconds that one factorisation of a system's tangent, assembled and used, takes on the nominal core."""
+    return (system.pattern.multiplications + ASSEMBLY * len(system.cells)) / SPEED
 
 
 def check_steps(n_steps):
     """Raise a ValueError where `n_steps` is no number of load steps."""
     if isinstance(n_steps, bool) or not isinstance(n_steps, int | np.integer) or not 1 <= n_steps <= 10_000:
         raise ValueError(f"n_steps must be a whole number from 1 to 10000, not {n_steps!r}")
+
+
+def check_time_limit(seconds):
+    """Raise a ValueError where `seconds` is neither None nor a positive number."""
+    if seconds is not None:
+        (number,) = _numbers("time_limit", [seconds], 1, "a positive number of seconds")
+        if isinstance(seconds, bool) or number <= 0:
+            raise ValueError(f"time_limit must be a positive number of seconds, not {seconds!r}")
 
 
 def _numbers(name, values, count, wanted):
@@ -181,7 +234,7 @@ def _numbers(name, values, count, wanted):
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ValueError(f"{name} must be {wanted}, not {values if count > 1 else values[0]!r}")
+        raise ValueError(f"{name} must be {wanted}, not {values!r}")
     return numbers
 
 
@@ -210,6 +263,7 @@ def shape_gradients(corners):
 class _System:
     """Everything about a mesh that does not change during an inflation, in the order of elimination."""
 
+    pattern: sparse.Pattern
     order: np.ndarray  # (free,) mesh node of each free node
     x0: np.ndarray  # (2 free,) undeformed coordinates of the free nodes
     cells: np.ndarray  # (m, 4) free nodes of each element, -1 where clamped
@@ -218,13 +272,12 @@ class _System:
     stiffness: np.ndarray  # (kinds, 4, 4) μ ∫ ∇N_a·∇N_b dV
     dilatation: np.ndarray  # (kinds, d, 4, 4) antisymmetric G with J = Σ x_a G_ab y_b
     weights: np.ndarray  # (kinds, d) undeformed area that belongs to each J
+    place: np.ndarray  # (m, 4, 4) block of each pair a >= b of an element's nodes, -1 where one is clamped
     edges: np.ndarray  # (k, 2) free nodes of the pressure edges, -1 where clamped
     edges_fixed: np.ndarray  # (k, 2, 2)
-    first: np.ndarray
-    offset: np.ndarray
-    constant: np.ndarray  # skyline of k
-    pressure: np.ndarray  # skyline of H
-    pinned: np.ndarray  # unknowns (2 node + direction) that are held though their node is free in the other direction
+    constant: np.ndarray  # (blocks, 4) k, the part of the tangent that does not change
+    pressure: np.ndarray  # (blocks, 4) H
+    pinned: np.ndarray  # (free, 2) directions in which a node is held though it is free in the other; or no rows
 
     @classmethod
     def of(cls, mesh, element, mu):
@@ -232,13 +285,14 @@ class _System:
         free = np.flatnonzero(~held.all(axis=1))
         number = np.full(len(mesh.nodes), -1)
         number[free] = np.arange(len(free))
-        order = free[skyline.bandwidth_order(len(free), number[mesh.cells])]
+        pattern = sparse.pattern(len(free), number[mesh.cells])
+        order = free[pattern.order]
         number[order] = np.arange(len(free))
         cells, edges = number[mesh.cells], number[mesh.pressure_edges]
 
         corners = mesh.nodes[mesh.cells]
         relative = corners - corners[:, :1]
-        congruent = np.allclose(relative, relative[:1], rtol=0, atol=1e-12 * np.abs(relative[:1]).max())
+        congruent = np.abs(relative - relative[:1]).max() <= 1e-12 * np.abs(relative[:1]).max()
         kind = np.zeros(len(cells), dtype=np.int64) if congruent else np.arange(len(cells))
         gradients, weights = shape_gradients(corners[:1] if congruent else corners)
         stiffness = mu * np.einsum("mq,mqai,mqbi->mab", weights, gradients, gradients)
@@ -249,61 +303,64 @@ class _System:
             dilatation = np.einsum("mq,mqab->mab", weights / area[:, None], dilatation)[:, None]
             weights = area[:, None]
 
-        first, offset, size = skyline.envelope(len(order), cells)
-        constant, pressure = np.zeros(size), np.zeros(size)
-        _assemble_constant(constant, pressure, cells, kind, stiffness, edges, offset)
+        constant, pressure = np.zeros((2, pattern.n_blocks, 4))
+        place = np.full((len(cells), 4, 4), -1)
+        _assemble_constant(pattern, constant, pressure, place, cells, kind, stiffness, edges)
+        pinned = held[order] if held[order].any() else np.zeros((0, 2), dtype=bool)
         return cls(
-            order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness, np.ascontiguousarray(dilatation),
-            weights, edges, mesh.nodes[mesh.pressure_edges], first, offset, constant, pressure,
-            np.flatnonzero(held[order]),
+            pattern, order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness,
+            np.ascontiguousarray(dilatation), weights, place, edges, mesh.nodes[mesh.pressure_edges],
+            constant, pressure, pinned,
         )  # fmt: skip
 
     def arrays(self):
         return (
-            self.x0, self.cells, self.fixed, self.kind, self.stiffness, self.dilatation, self.weights,
-            self.edges, self.edges_fixed, self.first, self.offset, self.constant, self.pressure, self.pinned,
+            self.pattern, self.x0, self.cells, self.fixed, self.kind, self.stiffness, self.dilatation, self.weights,
+            self.place, self.edges, self.edges_fixed, self.constant, self.pressure, self.pinned,
         )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def _assemble_constant(constant, pressure, cells, kind, stiffness, edges, offset):
-    """Skylines of k (stiffness of μ/2 F:F) and of H (second derivative of the cavity's area)."""
+def _assemble_constant(pattern, constant, pressure, place, cells, kind, stiffness, edges):
+    """Blocks of k (stiffness of μ/2 F:F) and of H (second derivative of the cavity's area), and where they belong."""
     for e in range(len(cells)):
         for a in range(4):
-            for b in range(4):
+            for b in range(a + 1):
                 i, j = cells[e, a], cells[e, b]
-                if i >= j >= 0:
-                    for d in range(2):
-                        constant[offset[2 * i + d] + 2 * j + d] += stiffness[kind[e], a, b]
-    for k in range(len(edges)):  # A = ½ Σ (x_i y_j − x_j y_i)
-        i, j = edges[k]
+                if i >= 0 and j >= 0:
+                    place[e, a, b] = k = sparse.block_number(pattern, max(i, j), min(i, j))
+                    constant[k, 0] += stiffness[kind[e], a, b]
+                    constant[k, 3] += stiffness[kind[e], a, b]
+    for edge in edges:  # A = ½ Σ (x_i y_j − x_j y_i)
+        i, j = edge
         if i >= 0 and j >= 0:
-            sign = 1.0
-            if i < j:
-                i, j, sign = j, i, -1.0
-            pressure[offset[2 * i] + 2 * j + 1] += 0.5 * sign
-            pressure[offset[2 * i + 1] + 2 * j] -= 0.5 * sign
+            k = sparse.block_number(pattern, max(i, j), min(i, j))
+            half = 0.5 if i > j else -0.5
+            pressure[k, 1] += half
+            pressure[k, 2] -= half
 
 
 @njit(cache=True, nogil=True)
 def _gather(x, cells, fixed, out):
-    """Deformed corners (m, 4, 2) of each element."""
+    """Deformed corners (m, 4, 2) of each element, seen from its first one: small numbers, so that little is rounded."""
     for e in range(len(cells)):
-        for a in range(cells.shape[1]):
-            i = cells[e, a]
-            for d in range(2):
-                out[e, a, d] = x[2 * i + d] if i >= 0 else fixed[e, a, d]
+        for d in range(2):
+            i = cells[e, 0]
+            start = x[2 * i + d] if i >= 0 else fixed[e, 0, d]
+            for a in range(cells.shape[1]):
+                i = cells[e, a]
+                out[e, a, d] = (x[2 * i + d] if i >= 0 else fixed[e, a, d]) - start
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _dilatations(corners, kind, dilatation, J, c):
-    """J (m, d) and its gradient c (m, d, 4, 2) with respect to the corners."""
+    """J (m, d) and its gradient c (m, d, 4, 2) with respect to the corners, of which the first is the origin."""
     for e in range(len(corners)):
         for q in range(dilatation.shape[1]):
             G, value = dilatation[kind[e], q], 0.0
             for a in range(4):
                 cx = cy = 0.0
-                for b in range(4):
+                for b in range(1, 4):
                     cx += G[a, b] * corners[e, b, 1]
                     cy -= G[a, b] * corners[e, b, 0]  # G is antisymmetric
                 c[e, q, a, 0], c[e, q, a, 1] = cx, cy
@@ -311,73 +368,82 @@ def _dilatations(corners, kind, dilatation, J, c):
             J[e, q] = value
 
 
-@njit(cache=True, nogil=True)
-def _residual(corners, cells, kind, stiffness, weights, J, c, edges, edge_corners, lam, mu, p, r):
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _residual(corners, cells, kind, stiffness, weights, J, log_j, c, edges, edge_corners, lam, mu, p, r):
     """Gradient of the potential, r = k x + Σ w φ′ c − p ∂A/∂x."""
     r[:] = 0.0
     for k in range(len(edges)):
-        i, j = edges[k]
-        dx, dy = edge_corners[k, 1] - edge_corners[k, 0]
-        for node in (i, j):
+        dx, dy = edge_corners[k, 1, 0] - edge_corners[k, 0, 0], edge_corners[k, 1, 1] - edge_corners[k, 0, 1]
+        for end in range(2):
+            node = edges[k, end]
             if node >= 0:
                 r[2 * node] -= 0.5 * p * dy
                 r[2 * node + 1] += 0.5 * p * dx
+    slope = np.empty(J.shape[1])
     for e in range(len(cells)):
+        for q in range(J.shape[1]):
+            slope[q] = weights[kind[e], q] * (lam * log_j[e, q] - mu) / J[e, q]
         for a in range(4):
             i = cells[e, a]
             if i >= 0:
                 fx = fy = 0.0
-                for b in range(4):
+                for b in range(1, 4):
                     k_ab = stiffness[kind[e], a, b]
                     fx += k_ab * corners[e, b, 0]
                     fy += k_ab * corners[e, b, 1]
                 for q in range(J.shape[1]):
-                    slope = weights[kind[e], q] * (lam * np.log(J[e, q]) - mu) / J[e, q]
-                    fx += slope * c[e, q, a, 0]
-                    fy += slope * c[e, q, a, 1]
+                    fx += slope[q] * c[e, q, a, 0]
+                    fy += slope[q] * c[e, q, a, 1]
                 r[2 * i] += fx
                 r[2 * i + 1] += fy
 
 
-@njit(cache=True, nogil=True)
-def _tangent(values, constant, pressure, cells, kind, dilatation, weights, J, c, pi, theta, lam, mu, p, offset):
-    """Skyline of the tangent; `pi` stands for λ ln J and is blended with μ by `theta` (θ = 0: convex but for −p H)."""
-    for k in range(len(values)):
-        values[k] = constant[k] - p * pressure[k]
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _tangent(blocks, constant, pressure, cells, kind, dilatation, weights, place, J, c, pi, theta, lam, mu, p):
+    """Blocks of the tangent; `pi` stands for λ ln J and is blended with μ by `theta` (θ = 0: convex but for −p H)."""
+    for k in range(len(blocks)):
+        for d in range(4):
+            blocks[k, d] = constant[k, d] - p * pressure[k, d]
+    slope, curvature = np.empty(J.shape[1]), np.empty(J.shape[1])
     for e in range(len(cells)):
         for q in range(J.shape[1]):
-            G, w, j = dilatation[kind[e], q], weights[kind[e], q], J[e, q]
-            blended = mu + theta * (pi[e, q] - mu)
-            slope = w * (blended - mu) / j  # w φ′
-            curvature = w * (lam - blended + mu) / (j * j)  # w φ″
-            for a in range(4):
-                i = cells[e, a]
-                if i < 0:
+            w, j, blended = weights[kind[e], q], J[e, q], mu + theta * (pi[e, q] - mu)
+            slope[q] = w * (blended - mu) / j  # w φ′
+            curvature[q] = w * (lam - blended + mu) / (j * j)  # w φ″
+        for a in range(4):
+            for b in range(a + 1):
+                k = place[e, a, b]
+                if k < 0:
                     continue
-                row0, row1 = offset[2 * i], offset[2 * i + 1]
-                gx, gy = curvature * c[e, q, a, 0], curvature * c[e, q, a, 1]
-                for b in range(4):
-                    k = cells[e, b]
-                    if k < 0 or k > i:
-                        continue
-                    bx, by, g = c[e, q, b, 0], c[e, q, b, 1], slope * G[a, b]
-                    values[row0 + 2 * k] += gx * bx
-                    values[row1 + 2 * k] += gy * bx - g
-                    values[row1 + 2 * k + 1] += gy * by
-                    if k < i:
-                        values[row0 + 2 * k + 1] += gx * by + g
+                xx = xy = yx = yy = 0.0
+                for q in range(J.shape[1]):
+                    gx, gy = curvature[q] * c[e, q, a, 0], curvature[q] * c[e, q, a, 1]
+                    bx, by, g = c[e, q, b, 0], c[e, q, b, 1], slope[q] * dilatation[kind[e], q, a, b]
+                    xx += gx * bx
+                    xy += gx * by + g
+                    yx += gy * bx - g
+                    yy += gy * by
+                if cells[e, a] < cells[e, b]:
+                    xy, yx = yx, xy  # only the lower triangle is kept
+                blocks[k, 0] += xx
+                blocks[k, 1] += xy
+                blocks[k, 2] += yx
+                blocks[k, 3] += yy
 
 
 @njit(cache=True, nogil=True)
-def _pin(pinned, values, first, offset, r):
-    """Hold single unknowns: their rows and columns become those of the identity, their residual zero."""
-    for k in pinned:
-        r[k] = 0.0
-        values[offset[k] + first[k] : offset[k] + k] = 0.0
-        values[offset[k] + k] = 1.0
-        for i in range(k + 1, len(r)):
-            if first[i] <= k:
-                values[offset[i] + k] = 0.0
+def _pin(pattern, pinned, blocks):
+    """Hold single unknowns: their rows and columns become those of the identity."""
+    n_lower = len(pattern.rows)
+    for column in range(len(pinned)):
+        for k in range(pattern.column_start[column], pattern.column_start[column + 1]):
+            row = pattern.rows[k]
+            for d in range(4):
+                if pinned[row, d // 2] or pinned[column, d % 2]:
+                    blocks[k, d] = 0.0
+        for d in range(4):
+            if pinned[column, d // 2] or pinned[column, d % 2]:
+                blocks[n_lower + column, d] = 1.0 if d in (0, 3) else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -400,75 +466,98 @@ def _largest_step(J, slope, bend, start):
 
 @njit(cache=True, nogil=True)
 def _march(
-    x0, cells, fixed, kind, stiffness, dilatation, weights, edges, edges_fixed, first, offset, constant, pressure,
+    pattern, x0, cells, fixed, kind, stiffness, dilatation, weights, place, edges, edges_fixed, constant, pressure,
     pinned, lam, mu, pressures, allowed,
 ):  # fmt: skip
     """Follow the equilibrium through the load steps.
 
-    Newton's method on Π, with one change to the tangent (mixed integration points, Magisano et al. 2017): λ ln J is
-    replaced by its linear extrapolation from the last iterate. The residual, and so the solution, is that of Π.
-    A load step that fails is approached in halves. After `allowed` factorisations it gives up, so that every
-    structure ends in bounded time.
+    Newton's method on Π, with two changes to the tangent. Mixed integration points (Magisano et al. 2017): λ ln J is
+    replaced by its linear extrapolation from the last iterate. And a factorised tangent is used again as long as that
+    shrinks the next step to a tenth or less, which makes the first step under a new pressure Euler's predictor. The
+    residual, and so the solution, is that of Π. A load step that fails is approached in halves. After `allowed`
+    factorisations it gives up, so that every structure ends in bounded time.
 
     Returns positions (steps, 2 free), the number of load steps reached, and the number of factorisations.
     """
-    m, d, n = len(cells), weights.shape[1], len(x0)
+    m, d, n = len(cells), weights.shape[1], len(x0) // 2
     corners, moves = np.empty((m, 4, 2)), np.empty((m, 4, 2))
     edge_corners, no_edges_move = np.empty((len(edges), 2, 2)), np.zeros((m, 4, 2))
-    J, c, pi = np.empty((m, d)), np.empty((m, d, 4, 2)), np.empty((m, d))
+    J, log_j, c, pi = np.empty((m, d)), np.empty((m, d)), np.empty((m, d, 4, 2)), np.empty((m, d))
     slope, bend, c_move = np.empty((m, d)), np.empty((m, d)), np.empty((m, d, 4, 2))
-    r, step, values, inverse_pivots = np.empty(n), np.empty(n), np.empty(len(constant)), np.empty(n)
+    step, blocks, inverses = np.empty(2 * n), np.empty(constant.shape), np.empty((n, 4))
 
-    positions = np.empty((len(pressures), n))
-    x, last_pressure, factorisations = x0.copy(), 0.0, 0
+    positions = np.empty((len(pressures), 2 * n))
+    x, last_pressure, factorisations, factorised = x0.copy(), 0.0, 0, False
     for target in range(len(pressures)):
         p, halvings = pressures[target], 0
         while True:  # sub-steps from last_pressure to pressures[target]
-            trial, converged = x.copy(), False
+            trial, converged, last_length = x.copy(), False, 0.0
             for iteration in range(MAX_ITERATIONS):
                 _gather(trial, cells, fixed, corners)
                 _gather(trial, edges, edges_fixed, edge_corners)
                 _dilatations(corners, kind, dilatation, J, c)
-                if iteration == 0:
-                    pi[:] = lam * np.log(J)
-                _residual(corners, cells, kind, stiffness, weights, J, c, edges, edge_corners, lam, mu, p, r)
-                for theta in (1.0, 0.5, 0.25, 0.0):
+                for e in range(m):
+                    for q in range(d):
+                        log_j[e, q] = np.log(J[e, q])
+                        if iteration == 0:
+                            pi[e, q] = lam * log_j[e, q]
+                _residual(
+                    corners, cells, kind, stiffness, weights, J, log_j, c, edges, edge_corners, lam, mu, p, step
+                )  # fmt: skip
+                theta, fresh = 1.0, not factorised
+                while not factorised:
                     if factorisations >= allowed:
                         return positions, target, factorisations
                     _tangent(
-                        values, constant, pressure, cells, kind, dilatation, weights, J, c, pi, theta, lam, mu, p,
-                        offset,
+                        blocks, constant, pressure, cells, kind, dilatation, weights, place, J, c, pi, theta, lam, mu, p
                     )  # fmt: skip
-                    _pin(pinned, values, first, offset, r)
+                    _pin(pattern, pinned, blocks)
                     factorisations += 1
-                    done = skyline.factorise(values, first, offset, inverse_pivots)
-                    if done == n:
-                        break
-                if done < n:
+                    factorised = sparse.factorise(pattern, blocks, inverses) == n
+                    if not factorised:
+                        if theta == 0.0:
+                            break
+                        theta = 0.5 * theta if theta > 0.25 else 0.0
+                if not factorised:
                     break
-                step[:] = -r
-                skyline.solve(values, first, offset, inverse_pivots, step)
+                for i in range(len(pinned)):
+                    for k in range(2):
+                        if pinned[i, k]:
+                            step[2 * i + k] = 0.0
+                sparse.solve(pattern, blocks, inverses, step)
+                step *= -1.0
+                length = np.max(np.abs(step))  # NaN where there is one
+                if not np.isfinite(length):
+                    break
                 _gather(step, cells, no_edges_move, moves)
                 _dilatations(moves, kind, dilatation, bend, c_move)
                 for e in range(m):
                     for q in range(d):
-                        slope[e, q] = np.sum(c[e, q] * moves[e])
-                length = np.max(np.abs(step))
-                if not np.isfinite(length):
-                    break
+                        along = 0.0
+                        for a in range(4):
+                            along += c[e, q, a, 0] * moves[e, a, 0] + c[e, q, a, 1] * moves[e, a, 1]
+                        slope[e, q] = along
                 s = _largest_step(J, slope, bend, min(1.0, MAX_MOVE / max(length, MAX_MOVE)))
-                trial += s * step
-                if length <= TOLERANCE and s == 1.0 and theta == 1.0:  # θ = 1: positive definite, so stable
+                for i in range(2 * n):
+                    trial[i] += s * step[i]
+                for e in range(m):
+                    for q in range(d):
+                        pi[e, q] = lam * (log_j[e, q] + s * slope[e, q] / J[e, q])
+                shrinkage = length / last_length if last_length > 0.0 else 1.0
+                whole = s == 1.0 and theta == 1.0  # θ = 1: positive definite, so stable
+                stalled = fresh and length <= ROUNDED and shrinkage > 0.5
+                if whole and (length <= TOLERANCE or stalled):
                     converged = True
                     break
-                pi[:] = lam * (np.log(J) + s * slope / J)
+                factorised = whole and length <= REUSE and shrinkage <= 0.1
+                last_length = length
             if converged:
                 x, last_pressure = trial, p
                 if p == pressures[target]:
                     break
                 p = pressures[target]
             else:
-                halvings += 1
+                factorised, halvings = False, halvings + 1
                 if halvings > MAX_HALVINGS:
                     return positions, target, factorisations
                 p = 0.5 * (last_pressure + p)

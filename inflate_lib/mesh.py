@@ -1,14 +1,16 @@
 """From a label image to a finite-element mesh of the wall (paper sec. 3).
 
 Every wall pixel (label 0.5) becomes one quadrilateral, or ``refine × refine`` of them. The frame is the unit
-square; the bottom edge of the frame is y = 0, where the structure is clamped. Edges between wall and void carry
-the pressure.
+square; its bottom edge is y = 0, where the structure is clamped if not asked otherwise. Edges between wall and void
+carry the pressure.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
+
+from inflate_lib.structures import turns_to_bottom
 
 OUTSIDE, WALL, VOID = 0.0, 0.5, 1.0
 
@@ -27,8 +29,8 @@ class Mesh:
         Node numbers of each edge between wall and void, with the cavity on the left-hand side, so that the edges
         run counter-clockwise around the cavity.
     clamped : (n,) or (n, 2) bool
-        Nodes that cannot move: those on y = 0. With two columns, directions (x, y) in which a node cannot move, as on
-        the symmetry lines of a verification problem.
+        Nodes that cannot move: those on the clamped edge. With two columns, directions (x, y) in which a node cannot
+        move, as on the symmetry lines of a verification problem.
     """
 
     nodes: np.ndarray
@@ -37,7 +39,7 @@ class Mesh:
     clamped: np.ndarray
 
 
-def build_mesh(label, refine=1):
+def build_mesh(label, refine=1, clamped="bottom"):
     """Mesh the wall of a label image.
 
     Parameters
@@ -46,6 +48,8 @@ def build_mesh(label, refine=1):
         Labels 0 (outside), 0.5 (wall), 1 (void), as :func:`inflate_lib.label_image` makes them.
     refine : int
         Sub-elements per pixel and direction.
+    clamped : {"bottom", "left", "top", "right"}
+        Edge of the image whose nodes cannot move. The ground behind it may close the cavity.
 
     Returns
     -------
@@ -57,7 +61,7 @@ def build_mesh(label, refine=1):
         Where the labels are no label image, nothing is clamped, the wall falls into several pieces, or the cavity is
         missing or open.
     """
-    label = check_label(label)
+    label = check_label(label, clamped)
     if isinstance(refine, bool) or not isinstance(refine, int | np.integer) or refine < 1:
         raise ValueError(f"refine must be a whole number of at least 1, not {refine!r}")
     label = np.kron(label, np.ones((refine, refine))) if refine > 1 else label
@@ -73,12 +77,14 @@ def build_mesh(label, refine=1):
     used[lattice_cells] = True
     number = np.cumsum(used) - 1
     lattice_row, lattice_column = np.divmod(np.flatnonzero(used), size + 1)
-    nodes = np.column_stack([lattice_column, size - lattice_row]) / size
-    return Mesh(nodes, number[lattice_cells], number[lattice_edges], lattice_row == size)
+    x, y = lattice_column, size - lattice_row
+    held = {"bottom": y == 0, "left": x == 0, "top": y == size, "right": x == size}[clamped]
+    return Mesh(np.column_stack([x, y]) / size, number[lattice_cells], number[lattice_edges], held)
 
 
-def check_label(label):
+def check_label(label, clamped="bottom"):
     """Return `label` as a float array, or raise a ValueError that says why it cannot be inflated."""
+    turns = turns_to_bottom(clamped)
     try:
         label = np.asarray(label, dtype=float)
     except (TypeError, ValueError, RuntimeError) as error:  # the last from tensors that NumPy cannot take
@@ -92,13 +98,14 @@ def check_label(label):
         raise ValueError("label: there is no wall (0.5)")
     if not void.any():
         raise ValueError("label: there is no void (1) to put under pressure")
-    if not wall[-1].any():
-        raise ValueError("label: nothing is clamped, because no wall reaches the bottom row of the image")
+    if not np.rot90(wall, turns)[-1].any():
+        raise ValueError(f"label: nothing is clamped, because no wall reaches the {clamped} edge of the image")
     pieces = ndimage.label(wall)[1]  # connected by edges: two pixels that share a corner only would make a hinge
     if pieces > 1:
         raise ValueError(f"label: the wall falls into {pieces} pieces that share no edge")
-    outside = np.pad(label == OUTSIDE, ((1, 0), (1, 1)), constant_values=True)  # below the frame is the clamped ground
-    inside = np.pad(void, ((1, 0), (1, 1)))
+    beyond = (1, 0), (1, 1)  # beyond three edges is the outside; behind the clamped one, turned down, is the ground
+    outside = np.pad(np.rot90(label == OUTSIDE, turns), beyond, constant_values=True)
+    inside = np.pad(np.rot90(void, turns), beyond)
     if np.any(outside & ndimage.binary_dilation(inside)):  # grown by one pixel across edges, not across corners
         raise ValueError("label: the cavity is open, because a void pixel (1) touches the outside (0) or the frame")
     return label

@@ -1,13 +1,17 @@
 """The same inflation for MOOSE, the engine of the paper: an input file and its mesh, and a run where MOOSE is there.
 
 The input is the paper's model in MOOSE's total Lagrangian system: ``ComputeNeoHookeanStress`` on
-``ComputeLagrangianStrain``, ``Pressure`` on the displaced mesh, plane strain, load steps in time from 0 to 1.
-``stabilize_strain`` is MOOSE's F-bar, the unsymmetric relative of our mean dilatation; it is off for plain Q1.
+``ComputeLagrangianStrain``, ``Pressure`` on the displaced mesh, plane strain, load steps in time from 0 to 1. MOOSE
+stops at our times whatever it does in between: ``TimeSequenceStepper`` halves a load step that fails, where a constant
+``dt`` would lose step with us. ``stabilize_strain`` is MOOSE's F-bar, the unsymmetric relative of our mean dilatation
+(which scales F₃₃ as well); it is off for plain Q1. So expect the same shapes, not the same digits.
 
 The files are checked by reading them back; they have not been run with MOOSE in this project.
 """
 
+import os
 import shutil
+import signal
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from inflate_lib import exodus
-from inflate_lib.inflation import LAMBDA, MU, PRESSURE
+from inflate_lib.inflation import ELEMENTS, LAMBDA, MAX_HALVINGS, MU, PRESSURE, load_history
 
 #: Programs that contain MOOSE's solid mechanics, in the order in which they are looked for.
 PROGRAMS = ("solid_mechanics-opt", "combined-opt")
@@ -70,8 +74,9 @@ _INPUT = """\
 
 [Functions]
   [inflation]
-    type = ParsedFunction
-    expression = '{pressure!r} * t'
+    type = PiecewiseLinear
+    x = '0 {times}'
+    y = '0 {pressures}'
   []
 []
 
@@ -116,7 +121,11 @@ _INPUT = """\
   nl_max_its = 40
   start_time = 0
   end_time = 1
-  dt = {dt!r}
+  dtmin = {dtmin!r}
+  [TimeStepper]
+    type = TimeSequenceStepper
+    time_sequence = '{times}'
+  []
 []
 
 [Outputs]
@@ -128,12 +137,16 @@ _INPUT = """\
 """
 
 
-def input_text(name, n_steps=10, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
+def input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
     """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`."""
+    if element not in ELEMENTS:
+        raise ValueError(f"element must be one of {', '.join(ELEMENTS)}, not {element!r}")
     lam, mu = (float(value) for value in lame)
+    times, pressures = load_history(pressure, n_steps)
     return _INPUT.format(
         name=name, stabilize="true" if element == "mean-dilatation" else "false", lam=lam, mu=mu,
-        pressure=float(pressure), dt=1 / n_steps, cavity=exodus.CAVITY, clamped=exodus.CLAMPED,
+        times=_words(times), pressures=_words(pressures), dtmin=float(times[0]) / 2**MAX_HALVINGS,
+        cavity=exodus.CAVITY, clamped=exodus.CLAMPED,
     )  # fmt: skip
 
 
@@ -199,30 +212,41 @@ def run_case(result, input_file, time_limit=600.0):
     Raises
     ------
     RuntimeError
-        Where there is no MOOSE, or it wrote no results in time.
+        Where there is no MOOSE, or it wrote no results in time; what it started is ended with it.
+    ValueError
+        Where what it wrote is not what Exodus results of this mesh look like.
     """
     input_file = Path(input_file)
     output = input_file.with_name(f"{input_file.stem}_out.e")
     output.unlink(missing_ok=True)  # an older run must not pass for this one
     command = [find_program(), "-i", input_file.name]
-    try:
-        done = subprocess.run(
-            command, cwd=input_file.parent, capture_output=True, text=True, errors="replace", timeout=time_limit,
-            stdin=subprocess.DEVNULL, check=False,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        raise RuntimeError(f"MOOSE did not finish {input_file.name} within {time_limit:g} s") from None
-    said = ([line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()] or ["nothing"])[-1]
+    with subprocess.Popen(
+        command, cwd=input_file.parent, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True, errors="replace", start_new_session=True,
+    ) as process:  # fmt: skip
+        try:
+            text, _ = process.communicate(timeout=time_limit)
+        except BaseException as error:  # out of time, or interrupted
+            os.killpg(process.pid, signal.SIGKILL)  # MOOSE may be a script that started the program proper
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
+            raise RuntimeError(f"MOOSE did not finish {input_file.name} within {time_limit:g} s") from None
+    said = ([line.strip() for line in text.splitlines() if line.strip()] or ["nothing"])[-1]
     if not output.exists():
-        raise RuntimeError(f"MOOSE wrote no results for {input_file.name} (exit code {done.returncode}): {said}")
+        raise RuntimeError(f"MOOSE wrote no results for {input_file.name} (exit code {process.returncode}): {said}")
     times, found = exodus.read_displacement(output, result.nodes)
     displacement = np.full(result.displacement.shape, np.nan)
     for step, time in enumerate(result.load_steps):
         at = np.flatnonzero(np.abs(times - time) < 1e-9)  # MOOSE may have cut a load step into more
-        if not at.size:
+        if not at.size or not np.isfinite(found[at[-1]]).all():
             break
         displacement[step] = found[at[-1]]
     reached = int(np.isfinite(displacement).all(axis=(1, 2)).sum())
     converged = reached == len(result.load_steps)
     reason = "" if converged else f"MOOSE reached load step {reached} of {len(result.load_steps)}: {said}"
     return replace(result, displacement=displacement, converged=converged, reason=reason, factorisations=0)
+
+
+def _words(numbers):
+    """Numbers as MOOSE reads them in quotes, with every digit."""
+    return " ".join(repr(float(number)) for number in numbers)

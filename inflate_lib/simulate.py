@@ -15,11 +15,12 @@ from PIL import Image, UnidentifiedImageError
 
 from inflate_lib import export, moose
 from inflate_lib.descriptors import describe
-from inflate_lib.inflation import LAMBDA, MU, PRESSURE, inflate
+from inflate_lib.inflation import LAMBDA, MU, PRESSURE, inflate, load_history
 from inflate_lib.mesh import build_mesh
-from inflate_lib.structures import FRAME, WALL, label_image
+from inflate_lib.structures import FRAME, WALL, label_image, turns_to_bottom
 
 ENGINES = ("built-in", "moose")
+SIZES = ("height", "width", "hull_area")
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,12 @@ class Options:
     """What to compute and what to write; the defaults are the paper's structure, and nothing written."""
 
     lame: tuple[float, float] = (LAMBDA, MU)
-    pressure: float = PRESSURE
+    pressure: float | tuple[float, ...] = PRESSURE  # a history where there are several
+    n_steps: int | None = None  # ten, or as many as the history has
     wall: int = WALL
+    clamped: str = "bottom"
     refine: int = 1
     element: str = "mean-dilatation"
-    n_steps: int = 10
     resize: bool = False
     invert: bool = False
     colour: str = "von-mises"
@@ -55,7 +57,8 @@ def simulate_files(files, options):
     ------
     dict
         One record per image: name, file, note, converged, reason (why it failed: the image, the equilibrium, or a file
-        that cannot be written), height, width, hull_area, medial_axis (None where not converged), seconds, files.
+        that cannot be written), height, width, hull_area, medial_axis (None where not converged), load_steps (those
+        with an equilibrium: time, pressure, height, width, hull_area of each), seconds, files.
 
     Raises
     ------
@@ -72,6 +75,8 @@ def simulate_files(files, options):
         path = getattr(options, name)
         if path is not None and Path(path).suffix.lower() not in suffixes:
             raise ValueError(f"{name}: {path} must end with {' or '.join(suffixes)}")
+    load_history(options.pressure, options.n_steps)
+    turns_to_bottom(options.clamped)
     images = [image for file in files for image in _images(Path(file), options)]
     names = _distinct([name for name, *_ in images])
     for name, (_, file, image, note) in zip(names, images, strict=True):
@@ -118,6 +123,32 @@ def read_images(path, resize=False, invert=False):
     return (_fitted(images[0])[None], note) if note else (images, note)
 
 
+def read_history(text):
+    """Pressures, a tuple, from numbers with commas between them, or from a file with one per line.
+
+    The first line of the file may be the heading "pressure".
+
+    Raises
+    ------
+    ValueError
+        Naming the text or the file, where it is neither.
+    """
+    try:
+        return tuple(float(word) for word in text.split(","))
+    except ValueError:
+        path = Path(text)
+    try:
+        lines = [line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    except (OSError, ValueError):
+        raise ValueError(f"history: {text} is neither pressures, like 0.005,0.01,0, nor a file of them") from None
+    if lines[:1] == ["pressure"]:
+        del lines[0]
+    try:
+        return tuple(float(line) for line in lines)
+    except ValueError:
+        raise ValueError(f"history: {path} must have one pressure per line, and nothing else") from None
+
+
 def report(records, as_json, options):
     """Print the records, a table or JSON, and a summary on stderr; return the number of structures that failed."""
     from rich.console import Console
@@ -161,12 +192,13 @@ def _record(name, file, image, note, options, alone):
     """Inflate one image and write its files."""
     start = time.perf_counter()
     record = {"name": name, "file": str(file), "note": note, "converged": False, "reason": ""}
-    record |= dict.fromkeys(("height", "width", "hull_area", "medial_axis"))
+    record |= dict.fromkeys((*SIZES, "medial_axis")) | {"load_steps": []}
     written = []
     try:
         if isinstance(image, ValueError):
             raise image
-        mesh = build_mesh(label_image(image, wall=options.wall), options.refine)
+        label = label_image(image, wall=options.wall, clamped=options.clamped)
+        mesh = build_mesh(label, options.refine, options.clamped)
         parameters = {name: getattr(options, name) for name in ("n_steps", "element", "pressure", "lame")}
         result = inflate(mesh, **parameters)
         if options.moose is not None:
@@ -175,19 +207,28 @@ def _record(name, file, image, note, options, alone):
             if options.engine == "moose":
                 result = moose.run_case(result, case[0])
         record |= {"converged": result.converged, "reason": result.reason}
+        reached = int(np.isfinite(result.displacement).all(axis=(1, 2)).sum())
+        shapes = [describe(result, step) for step in range(reached)]
+        for t, p, shape in zip(result.load_steps, result.pressures, shapes, strict=False):
+            record["load_steps"].append({"time": float(t), "pressure": float(p)} | _sizes(shape))
         if result.converged:
-            shape = describe(result)
-            record |= {"height": shape.height, "width": shape.width, "hull_area": shape.hull_area}
-            record["medial_axis"] = shape.medial_axis.tolist()
+            record |= _sizes(shapes[-1]) | {"medial_axis": shapes[-1].medial_axis.tolist()}
         if options.plot is not None:
             written.append(export.write_picture(result, _own(options.plot, name, alone), options.colour))
         if options.gif is not None:
             written.append(export.write_animation(result, _own(options.gif, name, alone), options.colour))
         if options.vtk is not None:
-            written.append(export.write_vtk(result, _own(options.vtk, name, alone))[0])
+            path = _own(options.vtk, name, alone)
+            series = export.write_vtk(result, path)
+            written += [file for file in series if file in (path, path.with_suffix(".pvd"))]
     except (ValueError, OSError, RuntimeError) as error:
         record["reason"] = record["reason"] or _reason(error)  # a file that cannot be written counts as well
     return record | {"seconds": time.perf_counter() - start, "files": [str(path) for path in written]}
+
+
+def _sizes(shape):
+    """Height, width and hull area of a shape, by name."""
+    return {name: getattr(shape, name) for name in SIZES}
 
 
 def _read_picture(path):

@@ -1,7 +1,7 @@
 """From a grey image to the structure that it stands for: the fixed preprocessing of Fig. 2.
 
 A *label image* is a (28, 28) float array: 0 outside, 0.5 in the wall, 1 in the void that is inflated. It stands on the
-bottom row of the frame, where the wall is clamped.
+bottom row of the frame, where the wall is clamped; or at another edge, if that one is to be clamped.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,8 @@ THRESHOLD = 0.5
 OUTSIDE, SOLID, VOID = 0.0, 0.5, 1.0
 MIN_PIXELS = 12  # a smaller main component is a speck, not a digit (the smallest MNIST seven has 23)
 EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
+#: Edges of the frame that a structure can be clamped at. Number n comes to the bottom by n quarter turns of np.rot90.
+EDGES = ("bottom", "left", "top", "right")
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Stages:
     filled: np.ndarray  # c: (28, 28) bool, without holes
     expanded: np.ndarray  # d: digit and wall together, 0.5
     composite: np.ndarray  # e: labels, the digit laid over the expanded shape
-    shifted: np.ndarray  # f: labels, moved down to the bottom of the frame
+    shifted: np.ndarray  # f: labels, moved to the clamped edge of the frame: down, if not asked otherwise
     domains: np.ndarray  # g: (28, 28) labels within the frame, what `label_image` returns
 
     def items(self):
@@ -34,7 +36,7 @@ class Stages:
         return [(name, getattr(self, name)) for name in self.__dataclass_fields__]
 
 
-def label_image(image, threshold=THRESHOLD, wall=WALL, pad=True):
+def label_image(image, threshold=THRESHOLD, wall=WALL, pad=True, clamped="bottom"):
     """Label image of the structure in a grey image (Fig. 2).
 
     Parameters
@@ -48,6 +50,8 @@ def label_image(image, threshold=THRESHOLD, wall=WALL, pad=True):
     pad : bool
         Let the wall grow beyond the frame before the structure is moved into it. ``False`` cuts the wall off at the
         border instead, which opens some structures; it is there to study the difference.
+    clamped : {"bottom", "left", "top", "right"}
+        Edge of the frame that the structure is moved to.
 
     Returns
     -------
@@ -58,15 +62,16 @@ def label_image(image, threshold=THRESHOLD, wall=WALL, pad=True):
     ValueError
         Where the image holds no usable structure, with the reason; or an argument is out of range.
     """
-    return stages(image, threshold, wall, pad).domains
+    return stages(image, threshold, wall, pad, clamped).domains
 
 
-def stages(image, threshold=THRESHOLD, wall=WALL, pad=True):
+def stages(image, threshold=THRESHOLD, wall=WALL, pad=True, clamped="bottom"):
     """Every intermediate image of :func:`label_image`, as :class:`Stages`; same arguments, same errors."""
     if isinstance(wall, bool) or not isinstance(wall, int | np.integer) or not 1 <= wall <= FRAME:
         raise ValueError(f"wall must be a whole number of pixels from 1 to {FRAME}, not {wall!r}")
     if not isinstance(threshold, int | float | np.number) or not 0 <= threshold < 1:
         raise ValueError(f"threshold must be a number of at least 0 and less than 1, not {threshold!r}")
+    turns = turns_to_bottom(clamped)
     grey = as_grey(image)
     component = main_component(grey, threshold)
     filled = ndimage.binary_fill_holes(component)
@@ -74,9 +79,16 @@ def stages(image, threshold=THRESHOLD, wall=WALL, pad=True):
     digit = np.pad(filled, margin)
     expanded = SOLID * ndimage.maximum_filter(digit.view(np.uint8), size=2 * wall + 1, mode="constant")
     composite = np.where(digit, VOID, expanded)
-    shifted = _into_frame(composite, margin)
+    shifted = np.rot90(_into_frame(np.rot90(composite, turns), margin), -turns)
     frame = slice(margin, margin + FRAME)
     return Stages(grey, component, filled, expanded, composite, shifted, shifted[frame, frame].copy())
+
+
+def turns_to_bottom(clamped):
+    """Quarter turns (of ``np.rot90``) that bring an edge of the frame to the bottom, or a ValueError."""
+    if not isinstance(clamped, str) or clamped not in EDGES:
+        raise ValueError(f"clamped must be one of {', '.join(EDGES)}, not {clamped!r}")
+    return EDGES.index(clamped)
 
 
 def as_grey(image):

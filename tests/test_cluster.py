@@ -4,12 +4,18 @@ import os
 import signal
 import threading
 import time
+from collections import Counter
+from functools import partial
 
+import joblib
 import numpy as np
 import pytest
 import xarray as xr
+from killed_runs import run_and_kill
 
 from inflate_lib import cli, cluster, datasets, simulate_dataset
+from inflate_lib.cache import digest
+from inflate_lib.datasets import _simulate as simulate
 from inflate_lib.sources import load_sevens
 
 distributed = pytest.importorskip(
@@ -37,27 +43,51 @@ def fails(number):
     raise FloatingPointError(f"number {number} overflowed")
 
 
+def logged(log, images, *rest):
+    """As `_simulate`, slowly, with a line in the log when it begins and when it ends."""
+    piece = f"{os.getpid()} {digest(images)}\n"
+    with open(log, "a") as file:
+        file.write("begin " + piece)
+    time.sleep(0.1)
+    rows = simulate(images, *rest)
+    with open(log, "a") as file:
+        file.write("end " + piece)
+    return rows
+
+
 def test_a_killed_worker_loses_nothing_and_doubles_nothing(dask, tmp_path, monkeypatch):
-    monkeypatch.setattr(datasets, "CHUNK", 2)
+    monkeypatch.setattr(datasets, "PIECE", 2)
+    log, folder = tmp_path / "log", tmp_path / "pieces"
+    log.touch()
+    monkeypatch.setattr(datasets, "_simulate", partial(logged, log))
     with distributed.Client(dask, set_as_default=False) as client:
         pids = client.run(os.getpid)
     assert len(pids) == 2
-    killed_at = []
+    victim, stored_when_killed = str(next(iter(pids.values()))), []
+
+    def open_pieces():
+        """Pieces that the victim has begun and not ended."""
+        lines = [line.split() for line in log.read_text().splitlines()]
+        begun, ended = ({piece for what, pid, piece in lines if (what, pid) == (w, victim)} for w in ("begin", "end"))
+        return begun - ended
 
     def kill_one():
-        while len(list(tmp_path.glob("[0-9]*.npz"))) < 4:
-            time.sleep(0.005)
-        os.kill(next(iter(pids.values())), signal.SIGKILL)
-        killed_at.append(len(list(tmp_path.glob("[0-9]*.npz"))))
+        while len(list(folder.glob("[0-9]*.npz"))) < 4 or not open_pieces():
+            time.sleep(0.002)
+        os.kill(int(victim), signal.SIGKILL)
+        stored_when_killed.append(len(list(folder.glob("[0-9]*.npz"))))
 
     stored, real = [], datasets._store
     monkeypatch.setattr(datasets, "_store", lambda path, rows: stored.append(path.name) or real(path, rows))
     killer = threading.Thread(target=kill_one, daemon=True)
     killer.start()
-    data = simulate_dataset(IMAGES, folder=tmp_path, cluster=dask, progress_text=False)
+    data = simulate_dataset(IMAGES, folder=folder, backend=dask, progress_text=False)
     killer.join(5)
-    assert killed_at and killed_at[0] < 45, "the worker was not killed in the middle"
-    assert len(stored) == len(set(stored)) == 45  # each part once
+    assert stored_when_killed and stored_when_killed[0] < 45, "the worker was not killed in the middle"
+    assert len(stored) == len(set(stored)) == 45  # each piece once
+    (cut,) = open_pieces()  # it died in the middle of a piece, which another process did
+    ended = Counter(line.split()[2] for line in log.read_text().splitlines() if line.startswith("end"))
+    assert ended[cut] == 1 and len(ended) == 45
     with distributed.Client(dask, set_as_default=False) as client:
         assert set(client.run(os.getpid).values()) != set(pids.values())
     monkeypatch.undo()
@@ -65,9 +95,31 @@ def test_a_killed_worker_loses_nothing_and_doubles_nothing(dask, tmp_path, monke
     assert data.reason[-1].item().startswith("image is blank")
 
     # what is there is not computed again, with no cluster at all
-    monkeypatch.setattr(datasets, "CHUNK", 2)
-    again = simulate_dataset(IMAGES, folder=tmp_path, cluster="tcp://127.0.0.1:1", progress_text=False)
+    monkeypatch.setattr(datasets, "PIECE", 2)
+    again = simulate_dataset(IMAGES, folder=folder, backend="tcp://127.0.0.1:1", progress_text=False)
     xr.testing.assert_identical(again, data)
+
+
+def test_a_run_killed_at_any_moment_goes_on_from_its_pieces(dask, tmp_path):
+    images = IMAGES[:80]
+    data, redone, stored = run_and_kill(tmp_path, images, dask, kills=3)
+    xr.testing.assert_identical(data, simulate_dataset(images, n_jobs=1))
+    assert 0 < stored[0] < stored[-1] < 40
+    assert redone <= 3 * cluster.IN_FLIGHT * 2, stored
+
+
+def test_a_cluster_that_joblib_made_active_is_used_in_the_same_way(dask, monkeypatch):
+    with pytest.raises(ValueError, match=r"needs a distributed.Client in this process"):
+        simulate_dataset(IMAGES[:2], backend="dask")
+    addresses, real = [], cluster.run
+    monkeypatch.setattr(cluster, "run", lambda address, *rest: addresses.append(address) or real(address, *rest))
+    with distributed.Client(dask):
+        named = simulate_dataset(IMAGES[:4], n_steps=1, backend="dask")
+        with joblib.parallel_config("dask"):
+            active = simulate_dataset(IMAGES[:4], n_steps=1)
+    assert addresses == [dask, dask]
+    xr.testing.assert_identical(named, simulate_dataset(IMAGES[:4], n_steps=1))
+    xr.testing.assert_identical(named, active)
 
 
 def test_tasks_are_taken_as_they_are_needed(dask):

@@ -5,14 +5,15 @@ import math
 import numpy as np
 import pytest
 import torch
+from diffusion_peers import SCHEDULE, diffusers_scheduler
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chisquare
 from torch.distributions import Normal, kl_divergence
 
-from inflate_lib.diffusion import cosine_schedule, process
+from inflate_lib.diffusion import TrainingConfig, process, train
 from inflate_lib.diffusion.process import NATS_PER_BIT
 
-SCHEDULE = cosine_schedule()
 STEPS = [0, 1, 10, 100, 500, 900, 998, 999]
 
 
@@ -66,18 +67,34 @@ def test_the_target_leads_back_to_image_and_noise(objective, seed):
     torch.testing.assert_close(process.predicted_x0(SCHEDULE, x, t, target, objective), x0, rtol=0, atol=1e-9)
 
 
-def test_agrees_with_diffusers():
-    diffusers = pytest.importorskip("diffusers")
-    theirs = diffusers.DDPMScheduler(beta_schedule="squaredcos_cap_v2", clip_sample=False)
-    x0, noise, t = batch(dtype=torch.float32)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_agrees_with_diffusers(dtype):
+    theirs = diffusers_scheduler("DDPMScheduler")
+    x0, noise, t = batch(dtype=dtype)
+    close = {"rtol": 0, "atol": 5e-6 if dtype == torch.float32 else 1e-14}  # in float32 they round 1 − ᾱ
     x = process.add_noise(SCHEDULE, x0, t, noise)
-    torch.testing.assert_close(theirs.add_noise(x0, noise, t), x, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(theirs.add_noise(x0, noise, t), x, **close)
     velocity = process.training_target(SCHEDULE, x0, t, noise, "v")
-    torch.testing.assert_close(theirs.get_velocity(x0, noise, t), velocity, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(theirs.get_velocity(x0, noise, t), velocity, **close)
     for kind, expected in (("fixed_small", SCHEDULE.posterior_variances), ("fixed_large", SCHEDULE.betas)):
         for step in STEPS[1:]:
-            ours = expected[step].item()
-            assert theirs._get_variance(step, variance_type=kind).item() == pytest.approx(ours, rel=1e-3, abs=1e-7)
+            theirs_now = theirs._get_variance(step, variance_type=kind).item()
+            assert theirs_now == pytest.approx(expected[step].item(), rel=1e-12)
+
+
+@pytest.mark.parametrize(("objective", "name"), [("epsilon", "epsilon"), ("v", "v_prediction")])
+def test_conversions_agree_with_diffusers(objective, name):
+    answers = torch.randn(len(STEPS), 1, 6, 6, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    x, _, _ = batch()
+    ddim = diffusers_scheduler("DDIMScheduler", prediction_type=name, clip_sample=False)
+    ddim.set_timesteps(1000)
+    for step in STEPS:
+        t, one, answer = torch.tensor([step]), x[:1], answers[:1]
+        x0 = process.predicted_x0(SCHEDULE, one, t, answer, objective)
+        torch.testing.assert_close(ddim.step(answer, step, one).pred_original_sample, x0, rtol=1e-12, atol=1e-12)
+        noise = process.predicted_noise(SCHEDULE, one, t, answer, objective)
+        left = SCHEDULE.alpha_bars[step]  # together the two must give x_t again
+        torch.testing.assert_close(left.sqrt() * x0 + (1 - left).sqrt() * noise, one, rtol=0, atol=1e-12)
 
 
 def test_kl_in_closed_form_and_by_monte_carlo():
@@ -101,6 +118,37 @@ def test_decoder_sums_to_one_over_the_grey_levels(mean, deviation):
     variance = torch.full_like(levels, deviation**2)
     nll = process.decoder_nll(levels, torch.full_like(levels, mean), variance)
     assert torch.exp(-nll).sum().item() == pytest.approx(1, abs=1e-9)
+
+
+@pytest.mark.parametrize("deviation", [SCHEDULE.betas[0].sqrt().item(), 0.05])
+def test_decoder_is_the_mass_of_the_bin(deviation):
+    levels = torch.linspace(-1, 1, 256, dtype=torch.float64)
+    mean = torch.full_like(levels, 0.2468)
+    mass = torch.exp(-process.decoder_nll(levels, mean, torch.full_like(levels, deviation**2)))
+    edges = torch.cat([levels.new_tensor([-math.inf]), (levels[1:] + levels[:-1]) / 2, levels.new_tensor([math.inf])])
+    torch.testing.assert_close(mass, Normal(mean[0], deviation).cdf(edges).diff(), rtol=0, atol=1e-14)
+    assert mass.max() > 0.05  # and not all of it zero
+
+
+def test_decoder_by_monte_carlo():
+    """Round draws of the Gaussian to grey levels and count: a χ² test that a right formula fails once in a thousand."""
+    g = torch.Generator().manual_seed(0)
+    mean, deviation, n = 0.95, 0.04, 200_000  # at the bright end, so that the open bin matters
+    draws = mean + deviation * torch.randn(n, generator=g, dtype=torch.float64)
+    counts = torch.bincount(((draws + 1) * 127.5).round().clamp(0, 255).long(), minlength=256).numpy()
+    levels = torch.linspace(-1, 1, 256, dtype=torch.float64)
+    nll = process.decoder_nll(levels, torch.full_like(levels, mean), torch.full_like(levels, deviation**2))
+    expected = n * torch.exp(-nll).numpy()
+    often = expected > 10
+    assert expected[-1] > 0.1 * n and often.sum() > 20
+
+    def p_value(expected):
+        together = [np.append(x[often], x[~often].sum()) for x in (counts, expected)]
+        return chisquare(*together).pvalue
+
+    assert p_value(expected) > 1e-3
+    shifted = np.roll(expected, 1)  # a bin off by one would be noticed
+    assert p_value(shifted) < 1e-9
 
 
 def test_decoder_is_finite_with_a_gradient_far_out_in_the_tails():
@@ -165,6 +213,44 @@ def test_variational_bound_of_the_exact_model_is_the_entropy():
     bound = terms.sum(1).mean()
     assert exact < bound < exact + 0.25
     assert terms[:, -1].max() < 1e-8  # nothing is left of the image at the end
+
+
+@pytest.mark.parametrize("gamma", [1.0, 5.0])
+def test_min_snr_weighs_errors_of_the_image_alike_whatever_is_predicted(gamma):
+    """An error in x₀, seen as an error of the noise or of the velocity, costs min(SNR, γ) times its square."""
+    x0, noise, t = batch()
+    x = process.add_noise(SCHEDULE, x0, t, noise)
+    g = torch.Generator().manual_seed(4)
+    for objective in process.OBJECTIVES:
+        target = process.training_target(SCHEDULE, x0, t, noise, objective)
+        answer = target + torch.randn(x.shape, generator=g, dtype=torch.float64)
+        of_image = process.squared_error(process.predicted_x0(SCHEDULE, x, t, answer, objective), x0)
+        weighted = process.min_snr_weights(SCHEDULE, objective, gamma)[t] * process.squared_error(answer, target)
+        torch.testing.assert_close(weighted, SCHEDULE.signal_to_noise.clamp(max=gamma)[t] * of_image, rtol=1e-9, atol=0)
+
+
+def test_min_snr_in_the_hybrid_loss():
+    vlb = process.hybrid_weights(SCHEDULE) - 1
+    torch.testing.assert_close(
+        process.hybrid_weights(SCHEDULE, min_snr=1e12), vlb + 1
+    )  # ε: a high ceiling changes nothing
+    weights = process.hybrid_weights(SCHEDULE, min_snr=5.0, vlb_weight=0)
+    noisy = SCHEDULE.signal_to_noise < 5
+    assert bool((weights[noisy] == 1).all()) and bool((weights[~noisy] < 1).all())
+    assert 100 < int((~noisy).sum()) < 500  # it spares the nearly clean images, a good quarter of the chain
+    velocity = process.hybrid_weights(SCHEDULE, "v", min_snr=5.0, vlb_weight=0)
+    assert velocity.argmax() == noisy.int().argmax() or velocity.argmax() == noisy.int().argmax() - 1
+
+
+def test_min_snr_enters_the_training():
+    images, conditions = np.random.default_rng(0).random((8, 8, 8)), np.arange(8.0)
+    options = {"channels": (4,), "embedding": 8, "hidden": 8, "steps": 4, "log_every": 4, "vlb_weight": 0.0}
+    plain, weighted = (
+        train(images, conditions, TrainingConfig(**options, min_snr=gamma), progress=False).history
+        for gamma in (0.0, 1e-3)
+    )
+    assert plain["loss"] == plain["simple"]
+    assert weighted["loss"][0] < 0.5 * weighted["simple"][0]
 
 
 def test_unknown_objective():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from diffusion_peers import diffusers_scheduler
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,6 +31,13 @@ def test_agrees_with_diffusers_in_its_single_precision():
     np.testing.assert_allclose(theirs.alphas_cumprod, ours.alpha_bars, rtol=5e-5)
     theirs = diffusers.DDPMScheduler(beta_schedule="linear", beta_start=1e-4, beta_end=0.02)
     np.testing.assert_allclose(theirs.alphas_cumprod, linear_schedule().alpha_bars, rtol=5e-5)
+
+
+def test_signal_to_noise_agrees_with_diffusers():
+    theirs = pytest.importorskip("diffusers.training_utils").compute_snr(
+        diffusers_scheduler("DDPMScheduler"), torch.arange(1000)
+    )
+    torch.testing.assert_close(theirs.double(), cosine_schedule().signal_to_noise, rtol=1e-5, atol=0)
 
 
 @given(st.integers(2, 2000), st.sampled_from([cosine_schedule, linear_schedule]))

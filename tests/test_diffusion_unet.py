@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from inflate_lib.diffusion import UNet
-from inflate_lib.diffusion.unet import sinusoidal_embedding
+from inflate_lib.diffusion import TrainingConfig, UNet
+from inflate_lib.diffusion.unet import CONDITIONINGS, ResidualBlock, sinusoidal_embedding
 
 
 def shaken(**options):
@@ -27,7 +27,18 @@ def inputs(n=3, size=28, n_conditions=2):
     return x, torch.randint(1000, (n,), generator=g), torch.rand(n, n_conditions, generator=g)
 
 
-@pytest.mark.parametrize("options", [{}, {"attention": True}, {"channels": (6, 9, 10)}, {"channels": (8,)}])
+OPTIONS = [
+    {},
+    {"attention": True},
+    {"conditioning": "add"},
+    {"blocks": 2},
+    {"blocks": 3, "channels": (8,)},
+    {"channels": (6, 9, 10)},
+    {"channels": (8,)},
+]
+
+
+@pytest.mark.parametrize("options", OPTIONS)
 def test_answers_have_the_shape_of_the_images(options):
     net = shaken(**options)
     answer = net(*inputs())
@@ -36,9 +47,50 @@ def test_answers_have_the_shape_of_the_images(options):
     assert all(p.grad is not None for name, p in net.named_parameters() if name != "null")
 
 
-def test_number_of_parameters():
-    assert UNet(1).n_parameters == 7_454_873  # the paper's widths
-    assert UNet(60).n_parameters - UNet(1).n_parameters == 59 * 200  # only the first layer of the descriptor network
+@pytest.mark.parametrize(("n_conditions", "expected"), [(1, 7_454_873), (2, 7_455_073), (60, 7_466_673)])
+def test_number_of_parameters_of_the_papers_network(n_conditions, expected):
+    net = TrainingConfig(epochs=150).make_net(n_conditions)
+    assert net.n_parameters == expected
+    assert expected - 7_454_873 == 200 * (n_conditions - 1)  # N enters the first layer of the descriptor network only
+
+
+def test_number_of_parameters_with_more_blocks_or_added_context():
+    def of_a_block(c):  # two normalisations, two convolutions, the context's scale and shift
+        return 4 * c + 2 * (9 * c * c + c) + 2 * c * (256 + 1)
+
+    more = UNet(1, blocks=2).n_parameters - UNet(1).n_parameters
+    assert more == 2 * sum(map(of_a_block, (64, 128, 256)))
+    less = UNet(1).n_parameters - UNet(1, conditioning="add").n_parameters
+    assert less == (2 * (64 + 128 + 256) + 2 * 256) * (256 + 1)  # no scale: eight blocks, down, up and in the middle
+
+
+@pytest.mark.parametrize("conditioning", CONDITIONINGS)
+def test_context_enters_a_residual_block_as_written(conditioning):
+    torch.manual_seed(0)
+    block = ResidualBlock(4, 4, 6, groups=2, scale_shift=conditioning == "scale-shift").double()
+    torch.nn.init.normal_(block.conv2.weight)
+    x, context = torch.randn(2, 4, 5, 5).double(), torch.randn(2, 6).double()
+    h = block.conv1(torch.nn.functional.silu(block.norm1(x)))
+    told = (context @ block.context.weight.T + block.context.bias)[:, :, None, None]
+    h = {
+        "add": lambda: block.norm2(h + told),  # Ho et al. (2020)
+        "scale-shift": lambda: block.norm2(h) * (1 + told[:, :4]) + told[:, 4:],  # Nichol & Dhariwal (2021)
+    }[conditioning]()
+    expected = x + block.conv2(torch.nn.functional.silu(h))
+    torch.testing.assert_close(block(x, context), expected)
+    assert (block(x, context) - block(x, context + 1)).abs().max() > 0.1
+
+
+def test_unknown_conditioning():
+    for make in (lambda: UNet(1, conditioning="concat"), lambda: TrainingConfig(steps=1, conditioning="concat")):
+        with pytest.raises(ValueError, match="scale-shift, add, not 'concat'"):
+            make()
+
+
+@pytest.mark.parametrize("options", [{"blocks": 0}, {"blocks": 1.5}, {"min_snr": -1.0}, {"min_snr": "5"}])
+def test_impossible_options_are_named(options):
+    with pytest.raises(ValueError, match=next(iter(options))):
+        TrainingConfig(steps=1, **options)
 
 
 def test_leaner_than_diffusers_at_the_same_widths():
@@ -61,8 +113,9 @@ def test_leaner_than_diffusers_at_the_same_widths():
     assert 1.4 * flops[0] < flops[1]
 
 
-def test_a_withheld_descriptor_is_the_null_vector():
-    net = shaken()
+@pytest.mark.parametrize("options", OPTIONS[:4])
+def test_a_withheld_descriptor_is_the_null_vector(options):
+    net = shaken(**options)
     x, t, y = inputs()
     without = net(x, t, None)
     torch.testing.assert_close(net(x, t, y, torch.ones(3, dtype=torch.bool)), without)

@@ -4,13 +4,17 @@ from dataclasses import replace
 from itertools import pairwise
 from xml.etree import ElementTree
 
+import matplotlib.pyplot as plt
 import meshio
 import numpy as np
 import pytest
 from PIL import Image
 
 from inflate_lib import export, inflate, label_image
+from inflate_lib.plotting.mechanics import animate_inflation
+from inflate_lib.plotting.structures import draw_inflated
 from inflate_lib.sources import load_sevens
+from inflate_lib.structures import EDGES
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +74,9 @@ def test_a_rigid_rotation_has_no_stress(mean):
 
 
 def test_paraview_series_comes_back(mean, tmp_path):
-    written = export.write_vtk(mean, tmp_path / "new" / "seven.vtu")
+    *written, asked = export.write_vtk(mean, tmp_path / "new" / "seven.vtu")
     assert [path.name for path in written] == ["seven.pvd", "seven_000.vtu", "seven_001.vtu", "seven_002.vtu"]
+    assert asked.name == "seven.vtu" and asked.read_bytes() == written[-1].read_bytes()
     listed = ElementTree.parse(written[0]).getroot().findall("Collection/DataSet")
     assert [float(entry.get("timestep")) for entry in listed] == [0, 0.5, 1]
     assert [entry.get("file") for entry in listed] == [path.name for path in written[1:]]
@@ -103,6 +108,33 @@ def test_picture_and_animation(mean, tmp_path):
             frames.append(np.asarray(animation.convert("L"), dtype=int))
     assert len(frames) >= 3  # at rest and two load steps; equal frames at the end may be stored as one
     assert all(np.abs(a - b).max() > 100 for a, b in pairwise(frames[:3]))
+
+
+def test_history_that_ends_at_rest_is_drawn(tmp_path):
+    result = inflate(label_image(load_sevens("digits").images[0]), pressure=[0.01, 0])
+    export.write_picture(result, tmp_path / "rest.png")
+    values = np.concatenate([np.zeros((1, len(result.cells))), export.von_mises(result)])
+    fig, animation = animate_inflation(result, values, "von Mises stress", 2)
+    animation.save(tmp_path / "rest.gif", writer="pillow")
+    low, high = fig.axes[0].collections[-1].get_clim()
+    assert high - low > 0.1 * values[1].max() > 0  # the colours are those of the fullest state
+    plt.close(fig)
+
+
+@pytest.mark.parametrize("edge", EDGES)
+def test_the_ground_is_drawn_behind_the_clamped_edge(edge):
+    image = load_sevens("digits").images[0]
+    result = inflate(label_image(image, clamped=edge), n_steps=1, clamped=edge)
+    fig, ax = plt.subplots()
+    draw_inflated(ax, result)
+    (ground,) = ax.patches
+    box = ground.get_bbox()
+    held = result.nodes[result.mesh.clamped]
+    across, along = (1, 0) if edge in ("bottom", "top") else (0, 1)
+    assert box.min[along] == held[:, along].min() and box.max[along] == held[:, along].max()
+    inner, outer = (box.max, box.min) if edge in ("bottom", "left") else (box.min, box.max)
+    assert inner[across] == held[0, across] and abs(outer[across] - 0.5) > 0.5
+    plt.close(fig)
 
 
 def test_only_what_has_an_equilibrium_is_shown(stuck, tmp_path):

@@ -12,12 +12,14 @@ from mechanics_peers import hook, inflate_with_felupe, inflate_with_torch, poten
 from scipy.integrate import solve_bvp
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import spsolve
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
+from test_sparse import places
 
 from inflate_lib import build_mesh, describe, inflate, inflation, label_image
 from inflate_lib.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, Inflation, shape_gradients
 from inflate_lib.mesh import Mesh
 from inflate_lib.sources import load_sevens, resolve_source
+from inflate_lib.structures import EDGES
 
 DIGITS = load_sevens("digits").images
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
@@ -47,15 +49,19 @@ def assemble(mesh, positions, element, p=0.0):
     inflation._gather(x, s.edges, s.edges_fixed, edge_corners)
     J, c = np.empty((len(s.cells), s.weights.shape[1])), np.empty((len(s.cells), s.weights.shape[1], 4, 2))
     inflation._dilatations(corners, s.kind, s.dilatation, J, c)
-    r, values = np.empty(n), np.empty(len(s.constant))
-    inflation._residual(corners, s.cells, s.kind, s.stiffness, s.weights, J, c, s.edges, edge_corners, LAMBDA, MU, p, r)
+    r, blocks, log_j = np.empty(n), np.empty(s.constant.shape), np.log(J)
+    inflation._residual(
+        corners, s.cells, s.kind, s.stiffness, s.weights, J, log_j, c, s.edges, edge_corners, LAMBDA, MU, p, r
+    )
     inflation._tangent(
-        values, s.constant, s.pressure, s.cells, s.kind, s.dilatation, s.weights, J, c, LAMBDA * np.log(J), 1.0,
-        LAMBDA, MU, p, s.offset,
+        blocks, s.constant, s.pressure, s.cells, s.kind, s.dilatation, s.weights, s.place, J, c, LAMBDA * log_j, 1.0,
+        LAMBDA, MU, p,
     )  # fmt: skip
-    K = np.zeros((n, n))
-    for i in range(n):
-        K[i, s.first[i] : i + 1] = K[s.first[i] : i + 1, i] = values[s.offset[i] + s.first[i] : s.offset[i] + i + 1]
+    K = np.zeros((n // 2, n // 2, 2, 2))
+    rows, columns = places(s.pattern)
+    K[rows, columns] = blocks.reshape(-1, 2, 2)
+    K = np.tril(K.transpose(0, 2, 1, 3).reshape(n, n))
+    K += np.tril(K, -1).T
     residual, unknown = np.zeros_like(positions), (2 * s.order[:, None] + [0, 1]).ravel()
     residual[s.order] = r.reshape(-1, 2)
     tangent = np.zeros((2 * len(mesh.nodes),) * 2)
@@ -294,6 +300,50 @@ def test_small_pressure_is_linear_and_pressure_scales_with_stiffness():
     assert np.abs(inflate(hook(), pressure=0).displacement).max() < 1e-12
 
 
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_deflation_comes_back_the_way_it_went(element):
+    """A hyperelastic body remembers nothing: the shape depends on the pressure, not on the history."""
+    for label in (hook(), label_image(DIGITS[0]), label_image(DIGITS[90])):
+        there_and_back = inflate(label, element=element, pressure=[0.004, 0.01, 0.006, 0.004, 0])
+        assert there_and_back.converged
+        assert there_and_back.pressures.tolist() == [0.004, 0.01, 0.006, 0.004, 0]
+        assert np.allclose(there_and_back.load_steps, [0.2, 0.4, 0.6, 0.8, 1])
+        u = there_and_back.displacement
+        assert np.abs(u[4]).max() < 1e-11 < 1e-2 < np.abs(u[1]).max()
+        assert np.abs(u[3] - u[0]).max() < 1e-11
+        for p, along in ((0.01, u[1]), (0.006, u[2])):
+            assert np.abs(inflate(label, 1, element, pressure=p).displacement[0] - along).max() < 1e-11
+
+
+def test_history_of_a_ramp_is_the_ramp():
+    ramp = inflate(hook(), n_steps=5, pressure=0.02)
+    history = inflate(hook(), pressure=0.02 * np.arange(1, 6) / 5)
+    assert np.array_equal(history.displacement, ramp.displacement)
+    assert np.array_equal(history.pressures, ramp.pressures) and np.array_equal(history.load_steps, ramp.load_steps)
+
+
+def test_suction_moves_the_other_way():
+    """Linear for small pressures, so that ∂u/∂p at p = 0 is the same from both sides."""
+    out, back = inflate(hook(), pressure=[1e-7, -1e-7]).displacement
+    assert np.abs(out).max() > 1e-8 and np.abs(out + back).max() < 1e-4 * np.abs(out).max()
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_turned_structure_inflates_to_the_turned_shape(turns):
+    """The n-th of EDGES comes to the bottom by n quarter turns; u(R X) = R u(X)."""
+    image, edge = DIGITS[10], EDGES[turns]
+    upright = inflate(label_image(image), n_steps=3)
+    turned = inflate(label_image(np.rot90(image, -turns), clamped=edge), n_steps=3, clamped=edge)
+    R = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), turns)  # brings the edge to the bottom
+    _, number = cKDTree((turned.nodes - 0.5) @ R.T).query(upright.nodes - 0.5)
+    assert np.array_equal(np.sort(number), np.arange(len(upright.nodes)))
+    assert np.abs(turned.displacement[:, number] @ R.T - upright.displacement).max() < 1e-9
+    ours, theirs = describe(turned), describe(upright)  # in the fixed frame: height and width change places
+    sizes = (theirs.height, theirs.width) if turns == 2 else (theirs.width, theirs.height)
+    assert np.allclose([*ours.bounding_box, ours.hull_area], [*sizes, theirs.hull_area], rtol=0, atol=1e-9)
+    assert ours.medial_axis[0].tolist() == [0, 0] and np.all(np.diff(ours.medial_axis[:, 1]) > 0)
+
+
 def annulus(n, inner=0.5, outer=1.0):
     """Mesh of a ring, clamped outside, under pressure inside; `n` elements through the wall."""
     radius, angle = np.linspace(inner, outer, n + 1), np.linspace(0, 2 * np.pi, 12 * n, endpoint=False)
@@ -492,7 +542,9 @@ def test_golden_numbers(source):
         {"n_steps": 0}, {"n_steps": 2.5}, {"n_steps": "10"}, {"n_steps": True}, {"n_steps": 10**9},
         {"element": "q2"}, {"element": None}, {"refine": 0},
         {"lame": 3}, {"lame": (1,)}, {"lame": (1, 2, 3)}, {"lame": (1, np.nan)}, {"lame": (-1, 1)}, {"lame": (1, 0)},
-        {"pressure": "high"}, {"pressure": np.inf}, {"pressure": np.nan}, {"pressure": None},
+        {"pressure": "high"}, {"pressure": np.inf}, {"pressure": np.nan}, {"pressure": None}, {"pressure": []},
+        {"pressure": [0.01, np.nan]}, {"pressure": [[0.01]]}, {"pressure": [0.01, "high"]}, {"pressure": [[1], [1, 2]]},
+        {"pressure": np.zeros(10_001)}, {"n_steps": 3, "pressure": [0.01, 0]}, {"clamped": "ceiling"}, {"clamped": 1},
     ],
 )  # fmt: skip
 def test_wrong_parameters_are_named(wrong):
@@ -504,6 +556,12 @@ def test_wrong_labels_are_refused():
     for label in (None, "seven", np.full((28, 28), np.nan), np.zeros((28, 28)), DIGITS[0]):
         with pytest.raises(ValueError, match="label"):
             inflate(label)
+
+
+def test_a_history_that_goes_too_far_says_where():
+    result = inflate(hook(), pressure=[0.01, 2.0, 0.0])
+    assert not result.converged and "load step 2 of 3 (pressure 2)" in result.reason
+    assert np.isfinite(result.displacement[0]).all() and np.isnan(result.displacement[1:]).all()
 
 
 def test_too_much_pressure_is_reported():

@@ -9,6 +9,7 @@ from mechanics_peers import hook, random_label
 
 from inflate_lib import build_mesh, label_image
 from inflate_lib.sources import load_sevens
+from inflate_lib.structures import EDGES
 
 DIGITS = load_sevens("digits").images
 labels = st.integers(0, 2**32 - 1).map(random_label) | st.sampled_from(list(DIGITS)).map(label_image)
@@ -59,6 +60,22 @@ def test_mirrored_label_has_the_mirrored_mesh(label):
     assert np.array_equal(flipped, np.sort(np.round(mirrored.nodes * len(label)).view("f8,f8"), axis=0))
 
 
+@given(labels, st.sampled_from(range(4)))
+@settings(max_examples=30, deadline=None)
+def test_turned_label_has_the_turned_mesh(label, turns):
+    mesh, turned = build_mesh(label), build_mesh(np.rot90(label, -turns), clamped=EDGES[turns])
+
+    def described(mesh, turns):
+        """Nodes, held nodes, and the two ends of each pressure edge, turned and in an order of their own."""
+        nodes = np.round(len(label) * (mesh.nodes - 0.5) * 2).astype(int)
+        for _ in range(turns):  # counter-clockwise, as np.rot90
+            nodes = nodes[:, ::-1] * [-1, 1]
+        ends = nodes[mesh.pressure_edges].reshape(-1, 4)
+        return [sorted(rows.tolist()) for rows in (nodes, nodes[mesh.clamped], ends)]
+
+    assert described(turned, turns) == described(mesh, 0)
+
+
 def edited(*changes):
     label = hook()
     for where, value in changes:
@@ -99,9 +116,27 @@ def test_refine_must_be_a_whole_number(refine):
         build_mesh(hook(), refine)
 
 
-def test_ground_may_close_the_cavity():
+@pytest.mark.parametrize("turns", range(4))
+def test_ground_may_close_the_cavity_at_the_clamped_edge_only(turns):
     label = hook()
     label[10:, 3:5] = 1  # down to the clamped edge, which has no pressure edges
-    mesh = build_mesh(label)
+    label[:2] = label[2]  # the wall reaches three edges of the image
+    label[:, 0] = label[:, 1]
+    label = np.rot90(label, -turns)
+    mesh = build_mesh(label, clamped=EDGES[turns])
     assert not mesh.clamped[mesh.pressure_edges].all(axis=1).any()
     assert mesh.clamped[mesh.pressure_edges].sum() == 2
+    for other in (1, 2):
+        with pytest.raises(ValueError, match="cavity is open"):
+            build_mesh(label, clamped=EDGES[(turns + other) % 4])
+
+
+@pytest.mark.parametrize("edge", ["ceiling", None, 0, ["top"]])
+def test_clamped_must_be_an_edge(edge):
+    with pytest.raises(ValueError, match="clamped must be one of bottom, left, top, right"):
+        build_mesh(hook(), clamped=edge)
+
+
+def test_the_edge_that_no_wall_reaches_is_named():
+    with pytest.raises(ValueError, match=r"nothing is clamped.*right edge"):
+        build_mesh(hook(), clamped="right")

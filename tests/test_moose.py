@@ -2,7 +2,9 @@
 
 import re
 import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import meshio
 import netCDF4
@@ -12,6 +14,7 @@ import pytest
 from inflate_lib import build_mesh, describe, exodus, inflate, label_image, moose
 from inflate_lib.simulate import Options, simulate_files
 from inflate_lib.sources import load_sevens
+from inflate_lib.verification import quarter_ring
 
 LABEL = label_image(load_sevens("digits").images[0])
 
@@ -38,13 +41,18 @@ def read_hit(text):
     return root
 
 
+def numbers(words):
+    return [float(word) for word in words.split()]
+
+
 def exodus_text(file, name):
     return [row.tobytes().rstrip(b"\0").decode() for row in file[name][:].filled(b"")]
 
 
-@pytest.fixture(params=[1, 2], ids=["coarse", "refined"])
+@pytest.fixture(params=[(1, "bottom"), (2, "bottom"), (1, "left")], ids=["coarse", "refined", "left"])
 def mesh(request):
-    return build_mesh(LABEL, request.param)
+    refine, edge = request.param
+    return build_mesh(label_image(load_sevens("digits").images[0], clamped=edge), refine, edge)
 
 
 def test_input_says_what_the_paper_solves(mesh, tmp_path):
@@ -68,11 +76,16 @@ def test_input_says_what_the_paper_solves(mesh, tmp_path):
     boundary = case["BCs"]
     (pressure,) = boundary.pop("Pressure").values()
     assert pressure == {"boundary": "cavity", "function": "inflation", "use_displaced_mesh": "true"}
-    assert case["Functions"]["inflation"] == {"type": "ParsedFunction", "expression": "0.01 * t"}
+    times = np.arange(1, 11) / 10
+    ramp = case["Functions"]["inflation"]
+    assert ramp.pop("type") == "PiecewiseLinear" and list(ramp) == ["x", "y"]
+    assert np.array_equal(numbers(ramp["x"]), [0, *times]) and np.array_equal(numbers(ramp["y"]), [0, *(0.01 * times)])
     held = {(b["type"], b["variable"], b["boundary"], b["value"]) for b in boundary.values()}
     assert held == {("DirichletBC", "disp_x", "clamped", "0"), ("DirichletBC", "disp_y", "clamped", "0")}
     run = case["Executioner"]
-    assert (run["type"], run["dt"], run["start_time"], run["end_time"]) == ("Transient", "0.1", "0", "1")
+    assert (run["type"], run["start_time"], run["end_time"]) == ("Transient", "0", "1") and "dt" not in run
+    stepper = run["TimeStepper"]  # of which MOOSE keeps every time, even where it has to cut a step
+    assert stepper["type"] == "TimeSequenceStepper" and np.array_equal(numbers(stepper["time_sequence"]), times)
     assert case["Outputs"]["exodus"] == {"type": "Exodus", "file_base": "seven_out"}
 
 
@@ -80,7 +93,20 @@ def test_input_takes_every_parameter():
     case = read_hit(moose.input_text("a", n_steps=4, element="q1", pressure=2e-5, lame=(3, 0.5)))
     assert case["GlobalParams"]["stabilize_strain"] == "false"
     assert {case["Materials"]["stress"][name] for name in ("lambda", "mu")} == {"3.0", "0.5"}
-    assert case["Functions"]["inflation"]["expression"] == "2e-05 * t" and case["Executioner"]["dt"] == "0.25"
+    assert numbers(case["Functions"]["inflation"]["y"]) == pytest.approx([0, 5e-6, 1e-5, 1.5e-5, 2e-5], rel=1e-15)
+    assert numbers(case["Executioner"]["TimeStepper"]["time_sequence"]) == [0.25, 0.5, 0.75, 1]
+    assert float(case["Executioner"]["dtmin"]) == 0.25 / 64
+
+
+def test_input_takes_the_history_that_we_take():
+    pressures = [0.01, -0.002, 1 / 3, 0]
+    case = read_hit(moose.input_text("a", pressure=pressures))
+    assert numbers(case["Functions"]["inflation"]["y"]) == [0, *pressures]
+    result = inflate(LABEL, pressure=np.array([0.01, 0.002, 0.005, 0]))
+    assert numbers(case["Functions"]["inflation"]["x"]) == [0, *result.load_steps]
+    for name, wrong in (("pressure", []), ("n_steps", 0), ("element", "q2")):
+        with pytest.raises(ValueError, match=name):
+            moose.input_text("a", **{name: wrong})
 
 
 @pytest.mark.parametrize("name", ["", "two words", "a/b", "it's"])
@@ -111,6 +137,11 @@ def test_mesh_is_read_back_by_others(mesh, tmp_path):
     outward = np.column_stack([along[:, 1], -along[:, 0]])
     to_edge = mesh.nodes[edges].mean(1) - mesh.nodes[mesh.cells[element]].mean(1)
     assert np.all((outward * to_edge).sum(1) > 0)
+
+
+def test_a_mesh_that_slides_is_no_case(tmp_path):
+    with pytest.raises(ValueError, match="one direction only"):
+        exodus.write_mesh(quarter_ring(2), tmp_path / "ring.e")
 
 
 def write_results(path, nodes, times, displacement, kind, fields=("disp_x", "disp_y")):
@@ -205,6 +236,60 @@ def test_a_run_that_stops_early_says_so(result, stand_in, tmp_path):
     found = moose.run_case(result, case[0])
     assert not found.converged and found.reason == "MOOSE reached load step 2 of 4: Solve failed"
     assert np.array_equal(found.displacement[:2], result.displacement[:2]) and np.isnan(found.displacement[2:]).all()
+
+
+@pytest.mark.parametrize("kind", ["NETCDF3_64BIT_OFFSET", "NETCDF4"])
+def test_garbage_and_half_written_results_are_named(result, stand_in, tmp_path, kind):
+    case = moose.write_case(result.mesh, tmp_path, "seven", n_steps=4)
+    write_results(tmp_path / "recorded.e", result.nodes, result.load_steps, result.displacement, kind)
+    whole = (tmp_path / "recorded.e").read_bytes()
+    garbage = np.random.default_rng(0).bytes(5000)
+    halves = [whole[: len(whole) * k // 8] for k in range(1, 8)] + [whole[:-8]]
+    for content in (b"", b"garbage", garbage, whole[:4] + garbage, *halves):
+        (tmp_path / "recorded.e").write_bytes(content)
+        stand_in(f"shutil.copy({str(tmp_path / 'recorded.e')!r}, 'seven_out.e')")
+        with pytest.raises(ValueError, match=r"seven_out\.e holds no displacements"):
+            moose.run_case(result, case[0])
+
+
+def test_results_that_are_no_numbers_do_not_count(result, stand_in, tmp_path):
+    case = moose.write_case(result.mesh, tmp_path, "seven", n_steps=4)
+    broken = result.displacement.copy()
+    broken[1, 3] = np.nan
+    write_results(tmp_path / "recorded.e", result.nodes, result.load_steps, broken, "NETCDF4")
+    stand_in(f"shutil.copy({str(tmp_path / 'recorded.e')!r}, 'seven_out.e')")
+    found = moose.run_case(result, case[0])
+    assert not found.converged and "load step 1 of 4" in found.reason and np.isnan(found.displacement[1:]).all()
+
+
+def test_a_script_that_hangs_takes_nothing_with_it(result, stand_in, tmp_path):
+    """What a wrapper script started ends with it, though it still holds the pipe."""
+    case = moose.write_case(result.mesh, tmp_path, "seven")
+    stand_in(
+        "import subprocess, time\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        "pathlib.Path('child').write_text(str(child.pid)); time.sleep(60)"
+    )
+    with pytest.raises(RuntimeError, match=r"within 2 s"):
+        moose.run_case(result, case[0], time_limit=2)
+    child = int((tmp_path / "child").read_text())
+    for _ in range(100):
+        state = Path(f"/proc/{child}/stat")
+        if not state.exists() or state.read_text().rsplit(")", 1)[1].split()[0] == "Z":
+            break
+        time.sleep(0.05)
+    else:
+        raise AssertionError("the child is still alive")
+
+
+def test_a_program_that_cannot_run_is_said(result, stand_in, tmp_path):
+    moose.write_case(result.mesh, tmp_path, "seven")
+    stand_in("")
+    (tmp_path / "bin" / "solid_mechanics-opt").write_bytes(b"\0no program")
+    np.save(tmp_path / "seven.npy", load_sevens("digits").images[0])
+    options = Options(n_steps=1, engine="moose", moose=tmp_path / "cases")
+    (record,) = simulate_files([tmp_path / "seven.npy"], options)
+    assert not record["converged"] and "solid_mechanics-opt" in record["reason"]
 
 
 def test_a_run_without_results_says_why(result, stand_in, tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from PIL import Image
 from inflate_lib import cli, describe, inflate, label_image
 from inflate_lib.simulate import Options, read_images, simulate_files
 from inflate_lib.sources import load_sevens
+from inflate_lib.structures import EDGES
 
 DIGITS = load_sevens("digits").images
 
@@ -76,9 +77,10 @@ def test_the_command_has_the_defaults_of_the_library(folder, run):
     parameters = json.loads(run("seven.png", "--json")[1])["parameters"]
     assert Options(**parameters | {"lame": tuple(parameters["lame"])}) == Options()
     result = inflate(label_image(DIGITS[0]))
-    assert (tuple(parameters["lame"]), parameters["n_steps"], parameters["element"], parameters["pressure"]) == (
-        result.lame, len(result.load_steps), result.element, result.pressures[-1],
+    assert (tuple(parameters["lame"]), parameters["element"], parameters["pressure"]) == (
+        result.lame, result.element, result.pressures[-1],
     )  # fmt: skip
+    assert parameters["n_steps"] is None and len(result.load_steps) == 10
 
 
 def test_every_parameter_reaches_the_solver(folder, run):
@@ -89,15 +91,42 @@ def test_every_parameter_reaches_the_solver(folder, run):
     assert code == 0 and record["height"] == describe(result).height
 
 
+@pytest.mark.parametrize("edge", EDGES)
+def test_any_edge_is_clamped(folder, run, edge):
+    code, out, _ = run("seven.png", "--json", "--steps", "2", "--clamp", edge, "--moose", "cases")
+    result = inflate(label_image(DIGITS[0], clamped=edge), 2, clamped=edge)
+    assert code == 0 and json.loads(out)["structures"][0]["height"] == describe(result).height
+    assert np.array_equal(meshio.read("cases/seven.e").point_sets["clamped"], np.flatnonzero(result.mesh.clamped))
+
+
+def test_history_is_followed_step_by_step(folder, run):
+    (folder / "plain.csv").write_text("0.005\n0.01\n\n0.0\n")
+    (folder / "sheet.csv").write_text("\ufeffpressure\r\n5e-3\r\n0.01\r\n0\r\n", encoding="utf-8")
+    result = inflate(label_image(DIGITS[0]), pressure=[0.005, 0.01, 0])
+    expected = [
+        {"time": t, "pressure": p, "height": shape.height, "width": shape.width, "hull_area": shape.hull_area}
+        for t, p, shape in zip(
+            (1 / 3, 2 / 3, 1), (0.005, 0.01, 0), (describe(result, k) for k in range(3)), strict=True
+        )
+    ]
+    for history in ("0.005,0.01,0", " 0.005, 1e-2, 0.0", "plain.csv", "sheet.csv"):
+        code, out, _ = run("seven.png", "--json", "--history", history, "--moose", "cases")
+        (record,) = json.loads(out)["structures"]
+        assert code == 0 and record["load_steps"] == expected
+        assert record["height"] == pytest.approx(describe(result.nodes).height, abs=1e-11)
+        assert "y = '0 0.005 0.01 0.0'" in (folder / "cases" / "seven.i").read_text()
+
+
 def test_files_carry_the_name_of_their_structure(folder, run):
     wanted = ["--vtk", "out/pv.vtu", "--moose", "cases", "--plot", "out/p.png"]
     code, out, _ = run("seven.png", *wanted, "--steps", "2", "--json")
     assert code == 0 and json.loads(out)["structures"][0]["files"] == [
-        "cases/seven.i", "cases/seven.e", "out/p.png", "out/pv.pvd",
+        "cases/seven.i", "cases/seven.e", "out/p.png", "out/pv.pvd", "out/pv.vtu",
     ]  # fmt: skip
     with Image.open("out/p.png") as picture:
         assert min(picture.size) > 200
-    assert np.isfinite(meshio.read(folder / "out" / "pv_002.vtu").point_data["displacement"]).all()
+    for name in ("pv_002.vtu", "pv.vtu"):
+        assert np.isfinite(meshio.read(folder / "out" / name).point_data["displacement"]).all()
     (folder / "again").mkdir()
     Image.fromarray(DIGITS[1]).save("again/seven.png")
     code, out, _ = run("seven.png", "again/seven.png", "--moose", "cases", "--vtk", "two.pvd", "--steps", "1", "--json")
@@ -124,9 +153,20 @@ def test_a_structure_without_equilibrium_is_a_failure_with_a_reason(folder, run)
         (["--vtk", "a.xdmf"], ".pvd or .vtu"),
         (["--lame", "-1", "1"], "lame"),
         (["--element", "q9"], "mean-dilatation"),
+        (["--clamp", "ceiling"], "bottom, left, top, right"),
+        (["--history", "0.01", "--pressure", "0.01"], "--pressure"),
+        (["--history", "0.01", "--steps", "1"], "--steps"),
+        (["--history", "0.01,high"], "0.01,high is neither"),
+        (["--history", "nothing.csv"], "nothing.csv is neither"),
+        (["--history", "bad.png"], "bad.png must have one pressure per line"),
+        (["--history", "table.csv"], "table.csv must have one pressure per line"),
+        (["--history", "empty.csv"], "pressure must be"),
+        (["--history", "0.01,nan"], "pressure must be"),
     ],
 )
 def test_options_that_make_no_sense_are_one_line(folder, run, arguments, message):
+    (folder / "table.csv").write_text("0.5,0.005\n1,0.01\n")
+    (folder / "empty.csv").write_text("pressure\n")
     code, _, err = run("seven.png", *arguments)
     assert code == 1 and message in err and "Traceback" not in err
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from inflate_lib.sources import load_sevens, resolve_source
-from inflate_lib.structures import EIGHT_NEIGHBOURS, MIN_PIXELS, label_image, stages
+from inflate_lib.structures import EDGES, EIGHT_NEIGHBOURS, MIN_PIXELS, label_image, stages
 
 EMBEDDED = load_sevens("digits").images
 
@@ -121,6 +121,31 @@ def test_structure_at_the_border_is_moved_inside_and_stays_closed():
     assert np.any(cut[-1] == 1)  # without padding the cavity is open at the bottom
 
 
+@given(structures(), st.sampled_from(range(4)))
+@settings(max_examples=100, deadline=None)
+def test_a_turned_image_has_the_turned_structure_at_the_turned_edge(structure, turns):
+    """Number n of EDGES comes to the bottom by n quarter turns."""
+    image, label = structure
+    sizes = np.sort(np.bincount(ndimage.label(stages(image).grey > 0.5, EIGHT_NEIGHBOURS)[0].ravel())[1:])
+    assume(len(sizes) == 1 or sizes[-1] > sizes[-2])
+    at_edge = label_image(np.rot90(image, -turns), clamped=EDGES[turns])
+    assert np.array_equal(np.rot90(at_edge, turns), label)
+    assert np.array_equal(label_image(at_edge, clamped=EDGES[turns]), at_edge)
+
+
+def test_structure_at_each_edge():
+    image = np.zeros((28, 28))
+    image[3:10, 4:7] = 1
+    for edge, rows, columns in (
+        ("bottom", (17, 27), (2, 8)), ("top", (0, 10), (2, 8)), ("left", (1, 11), (0, 6)), ("right", (1, 11), (21, 27)),
+    ):  # fmt: skip
+        filled = np.argwhere(label_image(image, clamped=edge))
+        assert (filled.min(axis=0).tolist(), filled.max(axis=0).tolist()) == (
+            [rows[0], columns[0]],
+            [rows[1], columns[1]],
+        )
+
+
 def test_uint8_bool_and_float_agree():
     label = label_image(EMBEDDED[0])
     assert np.array_equal(label_image(EMBEDDED[0] / 255), label)
@@ -173,7 +198,8 @@ def test_unusable_images_are_refused_with_the_reason(image, reason):
 @pytest.mark.parametrize(
     ("name", "value"),
     [("wall", w) for w in (0, -1, 1.5, "2", None, True, 10**6)]
-    + [("threshold", t) for t in (-0.1, 1, np.nan, "x", None)],
+    + [("threshold", t) for t in (-0.1, 1, np.nan, "x", None)]
+    + [("clamped", edge) for edge in ("ceiling", "Bottom", "", None, 0)],
 )
 def test_arguments_out_of_range_are_named(name, value):
     with pytest.raises(ValueError, match=f"{name} must be .*not {value!r}"):

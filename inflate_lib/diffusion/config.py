@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields
 import torch
 
 from inflate_lib.diffusion.process import check_objective
-from inflate_lib.diffusion.unet import UNet
+from inflate_lib.diffusion.unet import UNet, check_conditioning
 
 _ASIDE = ("device", "precision", "compile", "checkpoint_every", "log_every")
 
@@ -22,9 +22,12 @@ class TrainingConfig:
     channels: tuple[int, ...] = (64, 128, 256)  # of the U-Net at each scale, finest first
     embedding: int = 256  # width of the context vector ζ
     hidden: int = 200  # width of the two hidden layers of the descriptor network
+    blocks: int = 1  # residual blocks per scale, on the way down and on the way up
+    conditioning: str = "scale-shift"  # how ζ enters a residual block; or "add"
     attention: bool = False  # self-attention on the coarsest grid
     objective: str = "epsilon"  # what the network predicts: "epsilon" (paper) or "v"
     vlb_weight: float = 0.001  # λ of the hybrid loss
+    min_snr: float = 0.0  # γ of min-SNR weighting (Hang et al. 2023 take 5); 0: the plain L_simple
     condition_dropout: float = 0.1  # share of the structures whose descriptor is withheld
     steps: int | None = None
     epochs: int | None = None
@@ -46,6 +49,7 @@ class TrainingConfig:
             raise ValueError(f"channels must be a list with the channels of each scale, not {self.channels!r}")
         object.__setattr__(self, "channels", tuple(self.channels))
         check_objective(self.objective)
+        check_conditioning(self.conditioning)
         if (self.steps is None) == (self.epochs is None):
             raise ValueError("give the training budget as exactly one of steps and epochs")
         if self.learning_rate_decay not in ("constant", "cosine"):
@@ -60,7 +64,8 @@ class TrainingConfig:
                 raise ValueError(f"{name} must be a whole number of at least {least}, not {value!r}")
         if self.embedding % 2:
             raise ValueError(f"embedding must be even (cosines and sines), not {self.embedding}")
-        ends = {"condition_dropout": 1, "ema_decay": 1, "vlb_weight": math.inf, "learning_rate": math.inf}
+        ends = {"condition_dropout": 1, "ema_decay": 1, "vlb_weight": math.inf, "min_snr": math.inf}
+        ends |= {"learning_rate": math.inf}
         for name, end in ends.items():
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < end:
@@ -103,4 +108,4 @@ class TrainingConfig:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
             widths = self.channels, self.embedding, self.hidden
-            return UNet(n_conditions, *widths, attention=self.attention)
+            return UNet(n_conditions, *widths, self.blocks, self.conditioning, self.attention)

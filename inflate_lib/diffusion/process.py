@@ -166,9 +166,24 @@ def vlb_weights(schedule: Schedule, objective: str = "epsilon", cap_last: bool =
     return weights
 
 
-def hybrid_weights(schedule: Schedule, objective: str = "epsilon", vlb_weight: float = 0.001) -> Tensor:
+def min_snr_weights(schedule: Schedule, objective: str, gamma: float) -> Tensor:
+    """Weight (T,) of the squared error that counts errors of x₀ by min(SNR, γ) (Hang et al. 2023, section 3.4).
+
+    In terms of x₀, the error of the noise weighs as SNR and that of the velocity as SNR + 1; dividing by these carries
+    the weight over. Small γ spares the network the nearly clean images.
+    """
+    check_objective(objective)
+    snr = schedule.signal_to_noise
+    return snr.clamp(max=gamma) / (snr if objective == "epsilon" else snr + 1)
+
+
+def hybrid_weights(
+    schedule: Schedule, objective: str = "epsilon", vlb_weight: float = 0.001, min_snr: float = 0.0
+) -> Tensor:
     """Weight (T,) of the squared error in L_hybrid = L_simple + λ L_vlb (Eq. 11) when t is drawn uniformly.
 
-    L_vlb is a sum over the T steps and L_simple a mean, hence the factor T: 1 + λ T c_t.
+    L_vlb is a sum over the T steps and L_simple a mean, hence the factor T: 1 + λ T c_t. A positive ``min_snr`` is
+    the γ of ``min_snr_weights``, which then take the place of the 1.
     """
-    return 1 + vlb_weight * len(schedule) * vlb_weights(schedule, objective)
+    simple = min_snr_weights(schedule, objective, min_snr) if min_snr > 0 else 1
+    return simple + vlb_weight * len(schedule) * vlb_weights(schedule, objective)

@@ -144,7 +144,7 @@ class _Run:
         self.summed = 0
 
         self.schedule = cosine_schedule(config.T)
-        self.weights = process.hybrid_weights(self.schedule, config.objective, config.vlb_weight)
+        self.weights = process.hybrid_weights(self.schedule, config.objective, config.vlb_weight, config.min_snr)
         self.vlb_weights = process.vlb_weights(self.schedule, config.objective) * config.T
         self.images = torch.from_numpy(images).to(self.device)
         scaled = TrainedModel(self.net, config, self.low, self.high).scaled(conditions)

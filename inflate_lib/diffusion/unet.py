@@ -1,7 +1,7 @@
 """The denoising network: a lean U-Net told the time step and the target descriptor (sections 2.2 and 4.1).
 
-One residual block per scale on the way down and up, two in the middle; the up-convolution also halves the channels
-(as in Ronneberger et al.), which keeps the costly full-resolution layers narrow.
+One residual block (or more) per scale on the way down and up, two in the middle; one skip per scale. The up-convolution
+also halves the channels (as in Ronneberger et al.), which keeps the costly full-resolution layers narrow.
 """
 
 import math
@@ -12,12 +12,20 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+CONDITIONINGS = ("scale-shift", "add")
+
 
 def sinusoidal_embedding(t: Tensor, width: int) -> Tensor:
     """ζ_t: cosines and sines of the time step (n,) at ``width`` / 2 geometrically spaced frequencies → (n, width)."""
     frequencies = torch.exp(-math.log(10_000) * torch.arange(width // 2, device=t.device) / (width // 2))
     angles = t.float()[:, None] * frequencies
     return torch.cat([angles.cos(), angles.sin()], dim=1)
+
+
+def check_conditioning(conditioning: str) -> None:
+    """Raise a ValueError unless ``conditioning`` is one of ``CONDITIONINGS``."""
+    if conditioning not in CONDITIONINGS:
+        raise ValueError(f"conditioning must be one of {', '.join(CONDITIONINGS)}, not {conditioning!r}")
 
 
 def zero(layer: nn.Module) -> None:
@@ -27,22 +35,31 @@ def zero(layer: nn.Module) -> None:
 
 
 class ResidualBlock(nn.Module):
-    """Two 3×3 convolutions beside a shortcut; the context ζ scales and shifts the second normalisation."""
+    """Two 3×3 convolutions beside a shortcut, told the context ζ between them.
 
-    def __init__(self, inputs: int, outputs: int, embedding: int, groups: int):
+    ``scale_shift``: ζ scales and shifts the second normalisation (Nichol & Dhariwal 2021); else it is added to what
+    goes into that normalisation (Ho et al. 2020).
+    """
+
+    def __init__(self, inputs: int, outputs: int, embedding: int, groups: int, scale_shift: bool = True):
         super().__init__()
+        self.scale_shift = scale_shift
         self.norm1 = nn.GroupNorm(math.gcd(groups, inputs), inputs)
         self.conv1 = nn.Conv2d(inputs, outputs, 3, padding=1)
-        self.context = nn.Linear(embedding, 2 * outputs)
+        self.context = nn.Linear(embedding, 2 * outputs if scale_shift else outputs)
         self.norm2 = nn.GroupNorm(math.gcd(groups, outputs), outputs)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1)
         self.shortcut = nn.Conv2d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
         zero(self.conv2)  # each block starts as its shortcut, which makes the first steps stable
 
     def forward(self, x: Tensor, context: Tensor) -> Tensor:
-        scale, shift = self.context(context)[:, :, None, None].chunk(2, dim=1)
+        told = self.context(context)[:, :, None, None]
         h = self.conv1(F.silu(self.norm1(x)))
-        h = torch.addcmul(shift, self.norm2(h), 1 + scale)
+        if self.scale_shift:
+            scale, shift = told.chunk(2, dim=1)
+            h = torch.addcmul(shift, self.norm2(h), 1 + scale)
+        else:
+            h = self.norm2(h + told)
         return self.shortcut(x) + self.conv2(F.silu(h))
 
 
@@ -75,6 +92,10 @@ class UNet(nn.Module):
         Channels at each scale; every further scale halves the grid. The paper's: (64, 128, 256) on 28, 14, 7.
     embedding, hidden : int
         Width of the context vector ζ and of the two hidden layers of the descriptor network (paper: 256, 200).
+    blocks : int
+        Residual blocks per scale, on the way down and on the way up.
+    conditioning : "scale-shift" or "add"
+        How ζ enters a residual block.
     attention : bool
         Self-attention in the middle, on the coarsest grid.
     groups : int
@@ -87,11 +108,15 @@ class UNet(nn.Module):
         channels: Sequence[int] = (64, 128, 256),
         embedding: int = 256,
         hidden: int = 200,
+        blocks: int = 1,
+        conditioning: str = "scale-shift",
         attention: bool = False,
         groups: int = 8,
     ):
         super().__init__()
         self.n_conditions, self.channels, self.embedding = n_conditions, tuple(channels), embedding
+        self.blocks = blocks
+        check_conditioning(conditioning)
         self.descriptor = nn.Sequential(
             nn.Linear(n_conditions, hidden),
             nn.SiLU(),
@@ -103,18 +128,21 @@ class UNet(nn.Module):
         self.null = nn.Parameter(torch.zeros(embedding))
 
         def block(inputs, outputs):
-            return ResidualBlock(inputs, outputs, embedding, groups)
+            return ResidualBlock(inputs, outputs, embedding, groups, conditioning == "scale-shift")
+
+        def stages(widths):  # at each scale the first block changes the width
+            return nn.ModuleList(block(a if i == 0 else b, b) for a, b in widths for i in range(blocks))
 
         first, last = channels[0], channels[-1]
         pairs = list(pairwise(channels))  # (finer, coarser)
         self.stem = nn.Conv2d(1, first, 3, padding=1)
-        self.down_blocks = nn.ModuleList([block(first, first)] + [block(*pair) for pair in pairs])
+        self.down_blocks = stages([(first, first), *pairs])
         self.downs = nn.ModuleList([nn.Conv2d(c, c, 3, stride=2, padding=1) for c in channels[:-1]])
         self.middle = nn.ModuleList([block(last, last), block(last, last)])
         self.attention = Attention(last, max(1, last // 64), groups) if attention else nn.Identity()
         pairs.reverse()
         self.ups = nn.ModuleList([nn.Conv2d(coarse, fine, 3, padding=1) for fine, coarse in pairs])
-        self.up_blocks = nn.ModuleList([block(2 * last, last)] + [block(2 * fine, fine) for fine, _ in pairs])
+        self.up_blocks = stages([(2 * last, last), *((2 * fine, fine) for fine, _ in pairs)])
         self.norm = nn.GroupNorm(math.gcd(groups, first), first)
         self.out = nn.Conv2d(first, 1, 3, padding=1)
         zero(self.out)
@@ -157,13 +185,16 @@ class UNet(nn.Module):
         h = self.stem(x.contiguous(memory_format=torch.channels_last))
         skips = []
         for i, block in enumerate(self.down_blocks):
-            if i > 0:
-                h = self.downs[i - 1](h)
+            if i > 0 and i % self.blocks == 0:  # the next scale
+                skips.append(h)
+                h = self.downs[i // self.blocks - 1](h)
             h = block(h, context)
-            skips.append(h)
+        skips.append(h)
         h = self.middle[1](self.attention(self.middle[0](h, context)), context)
         for i, block in enumerate(self.up_blocks):
-            if i > 0:
-                h = self.ups[i - 1](F.interpolate(h, scale_factor=2.0, mode="nearest"))
-            h = block(torch.cat([h, skips.pop()], dim=1), context)
+            if i % self.blocks == 0:
+                if i > 0:
+                    h = self.ups[i // self.blocks - 1](F.interpolate(h, scale_factor=2.0, mode="nearest"))
+                h = torch.cat([h, skips.pop()], dim=1)
+            h = block(h, context)
         return self.out(F.silu(self.norm(h)))

@@ -23,7 +23,7 @@ def plot_mesh(mesh):
     ax.quiver(*(middle - 0.6 * into_wall).T, *(0.55 * into_wall).T, color=COLOURS.target, angles="xy",
               scale_units="xy", scale=1, width=0.004, headwidth=4, headlength=4)  # fmt: skip
     ax.plot(*mesh.nodes[mesh.clamped].T, "^", color=COLOURS.ink, markersize=4, label="clamped nodes")
-    draw_clamped_edge(ax, mesh.nodes)
+    draw_clamped_edge(ax, mesh)
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.02))
     return fig
 
@@ -32,7 +32,7 @@ def plot_load_steps(result, steps=(1, 3, 5, 7, 9)):
     """The structure before inflation and at some load steps (indices), with the undeformed shape behind."""
     fig, axes = figure(1, len(steps) + 1, height=4.0, sharex=True, sharey=True)
     draw_mesh(axes[0], result.nodes, result.cells)
-    draw_clamped_edge(axes[0], result.nodes)
+    draw_clamped_edge(axes[0], result.mesh)
     axes[0].set_xlabel("$t$ = 0")
     for ax, step in zip(axes[1:], steps, strict=True):
         draw_inflated(ax, result, step)
@@ -42,16 +42,16 @@ def plot_load_steps(result, steps=(1, 3, 5, 7, 9)):
     return fig
 
 
-def plot_response(times, curves):
-    """Height, width and hull area over t; `curves` maps what to call a curve to its (steps, 3) values."""
+def plot_response(values, curves, label="time $t$, pressure $0.01\\,t$"):
+    """Height, width and hull area over t, or what `label` says; `curves` maps names to (steps, 3) values."""
     fig, axes = figure(1, 3, height=5.2, sharex=True)
     styles = ("-", "--", ":", "-.")
     for column, (ax, title) in enumerate(zip(axes, ("height $h$", "width $w$", "hull area $A$"), strict=True)):
-        for (name, values), style, marker in zip(curves.items(), styles, "os^v", strict=False):
-            ax.plot(times, values[:, column], style, marker=marker, markersize=3, label=name)
-        ax.set_xlabel("time $t$, pressure $0.01\\,t$")
+        for (name, sizes), style, marker in zip(curves.items(), styles, "os^v", strict=False):
+            ax.plot(values, sizes[:, column], style, marker=marker, markersize=3, label=name)
+        ax.set_xlabel(label)
         ax.set_ylabel(title)
-    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
     return fig
 
 
@@ -63,7 +63,7 @@ def plot_field(results, values, titles, label):
     for ax, result, field, title in zip(axes, results, values, titles, strict=True):
         cells = draw_mesh(ax, result.deformed(), result.cells, colour=None, edge="face", array=field, cmap=STRETCH_MAP)
         cells.set_clim(low, high)
-        draw_clamped_edge(ax, result.nodes)
+        draw_clamped_edge(ax, result.mesh)
         ax.set_title(title)
     _fit(axes, np.concatenate([result.deformed() for result in results]))
     fig.colorbar(cells, ax=axes, label=label, shrink=0.8, aspect=30, extend="both")
@@ -143,7 +143,7 @@ def plot_inflation(result, values, label, step):
     cells = _draw_coloured(axes[1], result, values, step)
     axes[1].set_title(_when(result, step))
     for ax in axes:
-        draw_clamped_edge(ax, result.nodes)
+        draw_clamped_edge(ax, result.mesh)
     _fit(axes, np.concatenate([result.nodes, result.deformed(step)]))
     fig.colorbar(cells, ax=axes, label=label, shrink=0.8, aspect=30, extend="both")
     return fig
@@ -155,8 +155,9 @@ def animate_inflation(result, values, label, steps):
     `values` is (steps + 1, m), the undeformed state first.
     """
     fig, ax = figure(1, 1, width=10, height=9)
-    cells = _draw_coloured(ax, result, values[1:], steps - 1)
-    draw_clamped_edge(ax, result.nodes)
+    fullest = int(np.argmax(np.abs(result.pressures[:steps])))  # sets the colours; a history may end at rest
+    cells = _draw_coloured(ax, result, values[1:], fullest)
+    draw_clamped_edge(ax, result.mesh)
     _fit([ax], np.concatenate([result.nodes, *result.displacement[:steps] + result.nodes]))
     fig.colorbar(cells, ax=ax, label=label, shrink=0.8, aspect=30, extend="both")
     title = ax.set_title(_when(result, steps - 1))

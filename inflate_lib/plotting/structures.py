@@ -1,6 +1,6 @@
 """Pictures of structures and of what is measured on them: Figs. 2, 3, 4 and 6, and the pieces they are made of.
 
-All pictures of structures live in the unit square of the frame: x to the right, y up from the clamped edge.
+All pictures of structures live in the unit square of the frame: x to the right, y up.
 """
 
 import numpy as np
@@ -30,19 +30,21 @@ def draw_inflated(ax, result, step=-1, ghost=True):
         draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.ghost, edge="face", alpha=0.35, zorder=0)
     deformed = result.deformed(step)
     draw_mesh(ax, deformed, result.cells)
-    draw_clamped_edge(ax, result.nodes)
+    draw_clamped_edge(ax, result.mesh)
     return deformed
 
 
-def draw_clamped_edge(ax, nodes):
-    """The clamped edge: a thick line under the undeformed nodes at y = 0, hatched like a wall."""
-    x = nodes[nodes[:, 1] == 0, 0]
-    ax.add_patch(
-        Rectangle(
-            (x.min(), -0.03), np.ptp(x), 0.03, facecolor="white", edgecolor=COLOURS.ink, hatch="//////", linewidth=0
-        )
-    )
-    ax.plot([x.min(), x.max()], [0, 0], color=COLOURS.ink, linewidth=1.2, solid_capstyle="butt", zorder=3)
+def draw_clamped_edge(ax, mesh):
+    """The clamped edge: a thick line along the nodes that are held, hatched like a wall on its far side."""
+    held = mesh.nodes[mesh.clamped]
+    start, end = held.min(axis=0), held.max(axis=0)
+    normal = np.argmin(end - start)  # 0 where the edge runs upwards, 1 where it runs sideways
+    corner, size = start.copy(), end - start
+    size[normal] = 0.03
+    if start[normal] < mesh.nodes[:, normal].mean():
+        corner[normal] -= 0.03
+    ax.add_patch(Rectangle(corner, *size, facecolor="white", edgecolor=COLOURS.ink, hatch="//////", linewidth=0))
+    ax.plot(*zip(start, end, strict=True), color=COLOURS.ink, linewidth=1.2, solid_capstyle="butt", zorder=3)
 
 
 def draw_label(ax, label, grid=False):
