@@ -16,6 +16,7 @@ On a GPU every network runs in float32, in bfloat16 and compiled, and `--side-by
 """
 
 import json
+import os
 import platform
 import resource
 import sys
@@ -188,6 +189,7 @@ def main(
     """Time the networks, one after the other in each round."""
     names, widths, on_gpu = nets.split(";"), tuple(map(int, channels.split(","))), device == "cuda"
     import_peers(*names)
+    load = round(os.getloadavg()[0], 1)
     kinds = [("float32", False)] + [("bfloat16", False)] * on_gpu + [("bfloat16", True)] * on_gpu
     kinds += [("float32", True)] * (compiled and not on_gpu)
     settings = [(name, widths, batch, device, *kind) for kind in kinds for name in names]
@@ -222,6 +224,7 @@ def main(
         "repeats": repeats,
         "device": torch.cuda.get_device_name() if on_gpu else processor(),
         "threads": torch.get_num_threads(),
+        "load_before": load,  # more than a little above 0: others were at work, and only the ratios mean something
         "packages": {package: version(package) for package in packages},
     }
     (paths.REFERENCE / "speed_training.json").write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")
