@@ -19,7 +19,7 @@ locks, because λ/μ = 100) or once per element as its mean (``"mean-dilatation"
 
 import reprlib
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numba import njit
@@ -296,23 +296,19 @@ class _System:
         relative = corners - corners[:, :1]
         congruent = np.abs(relative - relative[:1]).max() <= 1e-12 * np.abs(relative[:1]).max()
         kind = np.zeros(len(cells), dtype=np.int64) if congruent else np.arange(len(cells))
-        gradients, weights = shape_gradients(corners[:1] if congruent else corners)
-        stiffness = mu * np.einsum("mq,mqai,mqbi->mab", weights, gradients, gradients)
-        dx, dy = gradients[..., 0], gradients[..., 1]
-        dilatation = dx[..., :, None] * dy[..., None, :] - dy[..., :, None] * dx[..., None, :]
-        if element == "mean-dilatation":
-            area = weights.sum(axis=1)
-            dilatation = np.einsum("mq,mqab->mab", weights / area[:, None], dilatation)[:, None]
-            weights = area[:, None]
+        # One row for congruent elements; rounded, so that it is the same for all meshes of the same pixels.
+        shapes = np.round(relative[:1], 15) if congruent else relative
+        tables = _remembered_tables(shapes.tobytes(), element) if congruent else _element_tables(shapes, element)
+        stiffness, dilatation, weights = tables
+        stiffness = mu * stiffness
 
         constant, pressure = np.zeros((2, pattern.n_blocks, 4))
         place = np.full((len(cells), 4, 4), -1)
         _assemble_constant(pattern, constant, pressure, place, cells, kind, stiffness, edges)
         pinned = held[order] if held[order].any() else np.zeros((0, 2), dtype=bool)
         return cls(
-            pattern, order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness,
-            np.ascontiguousarray(dilatation), weights, place, edges, mesh.nodes[mesh.pressure_edges],
-            constant, pressure, pinned,
+            pattern, order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness, dilatation, weights, place,
+            edges, mesh.nodes[mesh.pressure_edges], constant, pressure, pinned,
         )  # fmt: skip
 
     def arrays(self):
@@ -320,6 +316,24 @@ class _System:
             self.pattern, self.x0, self.cells, self.fixed, self.kind, self.stiffness, self.dilatation, self.weights,
             self.place, self.edges, self.edges_fixed, self.constant, self.pressure, self.pinned,
         )  # fmt: skip
+
+
+def _element_tables(corners, element):
+    """What depends on the shape of an element only: ∫ ∇N_a·∇N_b dV, G, and the area that belongs to each J."""
+    gradients, weights = shape_gradients(corners)
+    stiffness = np.einsum("mq,mqai,mqbi->mab", weights, gradients, gradients)
+    dx, dy = gradients[..., 0], gradients[..., 1]
+    dilatation = dx[..., :, None] * dy[..., None, :] - dy[..., :, None] * dx[..., None, :]
+    if element == "mean-dilatation":
+        area = weights.sum(axis=1)
+        dilatation = np.einsum("mq,mqab->mab", weights / area[:, None], dilatation)[:, None]
+        weights = area[:, None]
+    return stiffness, np.ascontiguousarray(dilatation), weights
+
+
+@lru_cache(maxsize=64)
+def _remembered_tables(corners, element):
+    return _element_tables(np.frombuffer(corners).reshape(1, 4, 2), element)
 
 
 @njit(cache=True, nogil=True)
@@ -546,14 +560,16 @@ def _march(
                 length = np.max(np.abs(step))  # NaN where there is one
                 if not np.isfinite(length):
                     break
-                _gather(step, cells, no_edges_move, moves)
-                _along_step(moves, kind, dilatation, c, slope, bend)
-                s = _largest_step(J, slope, bend, min(1.0, MAX_MOVE / max(length, MAX_MOVE)))
+                s = 1.0
+                if length > REUSE:  # shorter moves turn no element inside out, and are the last but a few
+                    _gather(step, cells, no_edges_move, moves)
+                    _along_step(moves, kind, dilatation, c, slope, bend)
+                    s = _largest_step(J, slope, bend, min(1.0, MAX_MOVE / max(length, MAX_MOVE)))
+                    for e in range(m):
+                        for q in range(d):
+                            pi[e, q] = lam * (log_j[e, q] + s * slope[e, q] / J[e, q])
                 for i in range(2 * n):
                     trial[i] += s * step[i]
-                for e in range(m):
-                    for q in range(d):
-                        pi[e, q] = lam * (log_j[e, q] + s * slope[e, q] / J[e, q])
                 shrinkage = length / last_length if last_length > 0.0 else 1.0
                 whole = s == 1.0 and theta == 1.0  # θ = 1: positive definite, so stable
                 stalled = fresh and length <= ROUNDED and shrinkage > 0.5
