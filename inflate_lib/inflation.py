@@ -265,6 +265,7 @@ def shape_gradients(corners):
 class _System:
     """Everything about a mesh that does not change during an inflation, in the order of elimination."""
 
+    points: tuple  # 0, …, d − 1, an element's values of J; a tuple, so that the compiler knows how many there are
     pattern: sparse.Pattern
     order: np.ndarray  # (free,) mesh node of each free node
     x0: np.ndarray  # (2 free,) undeformed coordinates of the free nodes
@@ -307,14 +308,14 @@ class _System:
         _assemble_constant(pattern, constant, pressure, place, cells, kind, stiffness, edges)
         pinned = held[order] if held[order].any() else np.zeros((0, 2), dtype=bool)
         return cls(
-            pattern, order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness, dilatation, weights, place,
-            edges, mesh.nodes[mesh.pressure_edges], constant, pressure, pinned,
+            tuple(range(weights.shape[1])), pattern, order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness,
+            dilatation, weights, place, edges, mesh.nodes[mesh.pressure_edges], constant, pressure, pinned,
         )  # fmt: skip
 
     def arrays(self):
         return (
-            self.pattern, self.x0, self.cells, self.fixed, self.kind, self.stiffness, self.dilatation, self.weights,
-            self.place, self.edges, self.edges_fixed, self.constant, self.pressure, self.pinned,
+            self.points, self.pattern, self.x0, self.cells, self.fixed, self.kind, self.stiffness, self.dilatation,
+            self.weights, self.place, self.edges, self.edges_fixed, self.constant, self.pressure, self.pinned,
         )  # fmt: skip
 
 
@@ -369,10 +370,10 @@ def _gather(x, cells, fixed, out):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _dilatations(corners, kind, dilatation, J, c):
+def _dilatations(points, corners, kind, dilatation, J, c):
     """J (m, d) and its gradient c (m, d, 4, 2) with respect to the corners, of which the first is the origin."""
     for e in range(len(corners)):
-        for q in range(dilatation.shape[1]):
+        for q in range(len(points)):
             G, value = dilatation[kind[e], q], 0.0
             for a in range(4):
                 cx = cy = 0.0
@@ -385,10 +386,10 @@ def _dilatations(corners, kind, dilatation, J, c):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _along_step(moves, kind, dilatation, c, slope, bend):
+def _along_step(points, moves, kind, dilatation, c, slope, bend):
     """The coefficients of J(s) = J + s·slope + s²·bend along a step, (m, d) each, from its moves of the corners."""
     for e in range(len(moves)):
-        for q in range(dilatation.shape[1]):
+        for q in range(len(points)):
             G, linear, quadratic = dilatation[kind[e], q], 0.0, 0.0
             for a in range(4):
                 cx = 0.0
@@ -400,7 +401,7 @@ def _along_step(moves, kind, dilatation, c, slope, bend):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _residual(corners, cells, kind, stiffness, weights, J, log_j, c, edges, edge_corners, lam, mu, p, r):
+def _residual(points, corners, cells, kind, stiffness, weights, J, log_j, c, edges, edge_corners, lam, mu, p, r):
     """Gradient of the potential, r = k x + Σ w φ′ c − p ∂A/∂x."""
     r[:] = 0.0
     for k in range(len(edges)):
@@ -410,9 +411,9 @@ def _residual(corners, cells, kind, stiffness, weights, J, log_j, c, edges, edge
             if node >= 0:
                 r[2 * node] -= 0.5 * p * dy
                 r[2 * node + 1] += 0.5 * p * dx
-    slope = np.empty(J.shape[1])
+    slope = np.empty(len(points))
     for e in range(len(cells)):
-        for q in range(J.shape[1]):
+        for q in range(len(points)):
             slope[q] = weights[kind[e], q] * (lam * log_j[e, q] - mu) / J[e, q]
         for a in range(4):
             i = cells[e, a]
@@ -422,7 +423,7 @@ def _residual(corners, cells, kind, stiffness, weights, J, log_j, c, edges, edge
                     k_ab = stiffness[kind[e], a, b]
                     fx += k_ab * corners[e, b, 0]
                     fy += k_ab * corners[e, b, 1]
-                for q in range(J.shape[1]):
+                for q in range(len(points)):
                     fx += slope[q] * c[e, q, a, 0]
                     fy += slope[q] * c[e, q, a, 1]
                 r[2 * i] += fx
@@ -430,14 +431,14 @@ def _residual(corners, cells, kind, stiffness, weights, J, log_j, c, edges, edge
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _tangent(blocks, constant, pressure, cells, kind, dilatation, weights, place, J, c, pi, theta, lam, mu, p):
+def _tangent(points, blocks, constant, pressure, cells, kind, dilatation, weights, place, J, c, pi, theta, lam, mu, p):
     """Blocks of the tangent; `pi` stands for λ ln J and is blended with μ by `theta` (θ = 0: convex but for −p H)."""
     for k in range(len(blocks)):
         for d in range(4):
             blocks[k, d] = constant[k, d] - p * pressure[k, d]
-    slope, curvature = np.empty(J.shape[1]), np.empty(J.shape[1])
+    slope, curvature = np.empty(len(points)), np.empty(len(points))
     for e in range(len(cells)):
-        for q in range(J.shape[1]):
+        for q in range(len(points)):
             w, j, blended = weights[kind[e], q], J[e, q], mu + theta * (pi[e, q] - mu)
             slope[q] = w * (blended - mu) / j  # w φ′
             curvature[q] = w * (lam - blended + mu) / (j * j)  # w φ″
@@ -447,7 +448,7 @@ def _tangent(blocks, constant, pressure, cells, kind, dilatation, weights, place
                 if k < 0:
                     continue
                 xx = xy = yx = yy = 0.0
-                for q in range(J.shape[1]):
+                for q in range(len(points)):
                     gx, gy = curvature[q] * c[e, q, a, 0], curvature[q] * c[e, q, a, 1]
                     bx, by, g = c[e, q, b, 0], c[e, q, b, 1], slope[q] * dilatation[kind[e], q, a, b]
                     xx += gx * bx
@@ -497,8 +498,8 @@ def _largest_step(J, slope, bend, start):
 
 @njit(cache=True, nogil=True)
 def _march(
-    pattern, x0, cells, fixed, kind, stiffness, dilatation, weights, place, edges, edges_fixed, constant, pressure,
-    pinned, lam, mu, pressures, allowed,
+    points, pattern, x0, cells, fixed, kind, stiffness, dilatation, weights, place, edges, edges_fixed, constant,
+    pressure, pinned, lam, mu, pressures, allowed,
 ):  # fmt: skip
     """Follow the equilibrium through the load steps.
 
@@ -510,7 +511,7 @@ def _march(
 
     Returns positions (steps, 2 free), the number of load steps reached, and the number of factorisations.
     """
-    m, d, n = len(cells), weights.shape[1], len(x0) // 2
+    m, d, n = len(cells), len(points), len(x0) // 2
     corners, moves = np.empty((m, 4, 2)), np.empty((m, 4, 2))
     edge_corners, no_edges_move = np.empty((len(edges), 2, 2)), np.zeros((m, 4, 2))
     J, log_j, c, pi = np.empty((m, d)), np.empty((m, d)), np.empty((m, d, 4, 2)), np.empty((m, d))
@@ -526,21 +527,22 @@ def _march(
             for iteration in range(MAX_ITERATIONS):
                 _gather(trial, cells, fixed, corners)
                 _gather(trial, edges, edges_fixed, edge_corners)
-                _dilatations(corners, kind, dilatation, J, c)
+                _dilatations(points, corners, kind, dilatation, J, c)
                 for e in range(m):
-                    for q in range(d):
+                    for q in range(len(points)):
                         log_j[e, q] = np.log(J[e, q])
                         if iteration == 0:
                             pi[e, q] = lam * log_j[e, q]
                 _residual(
-                    corners, cells, kind, stiffness, weights, J, log_j, c, edges, edge_corners, lam, mu, p, step
+                    points, corners, cells, kind, stiffness, weights, J, log_j, c, edges, edge_corners, lam, mu, p, step
                 )  # fmt: skip
                 theta, fresh = 1.0, not factorised
                 while not factorised:
                     if factorisations >= allowed:
                         return positions, target, factorisations
                     _tangent(
-                        blocks, constant, pressure, cells, kind, dilatation, weights, place, J, c, pi, theta, lam, mu, p
+                        points, blocks, constant, pressure, cells, kind, dilatation, weights, place, J, c, pi, theta,
+                        lam, mu, p,
                     )  # fmt: skip
                     _pin(pattern, pinned, blocks)
                     factorisations += 1
@@ -563,10 +565,10 @@ def _march(
                 s = 1.0
                 if length > REUSE:  # shorter moves turn no element inside out, and are the last but a few
                     _gather(step, cells, no_edges_move, moves)
-                    _along_step(moves, kind, dilatation, c, slope, bend)
+                    _along_step(points, moves, kind, dilatation, c, slope, bend)
                     s = _largest_step(J, slope, bend, min(1.0, MAX_MOVE / max(length, MAX_MOVE)))
                     for e in range(m):
-                        for q in range(d):
+                        for q in range(len(points)):
                             pi[e, q] = lam * (log_j[e, q] + s * slope[e, q] / J[e, q])
                 for i in range(2 * n):
                     trial[i] += s * step[i]

@@ -48,14 +48,14 @@ def assemble(mesh, positions, element, p=0.0):
     inflation._gather(x, s.cells, s.fixed, corners)
     inflation._gather(x, s.edges, s.edges_fixed, edge_corners)
     J, c = np.empty((len(s.cells), s.weights.shape[1])), np.empty((len(s.cells), s.weights.shape[1], 4, 2))
-    inflation._dilatations(corners, s.kind, s.dilatation, J, c)
+    inflation._dilatations(s.points, corners, s.kind, s.dilatation, J, c)
     r, blocks, log_j = np.empty(n), np.empty(s.constant.shape), np.log(J)
     inflation._residual(
-        corners, s.cells, s.kind, s.stiffness, s.weights, J, log_j, c, s.edges, edge_corners, LAMBDA, MU, p, r
+        s.points, corners, s.cells, s.kind, s.stiffness, s.weights, J, log_j, c, s.edges, edge_corners, LAMBDA, MU, p, r
     )
     inflation._tangent(
-        blocks, s.constant, s.pressure, s.cells, s.kind, s.dilatation, s.weights, s.place, J, c, LAMBDA * log_j, 1.0,
-        LAMBDA, MU, p,
+        s.points, blocks, s.constant, s.pressure, s.cells, s.kind, s.dilatation, s.weights, s.place, J, c,
+        LAMBDA * log_j, 1.0, LAMBDA, MU, p,
     )  # fmt: skip
     K = np.zeros((n // 2, n // 2, 2, 2))
     rows, columns = places(s.pattern)
