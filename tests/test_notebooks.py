@@ -41,7 +41,7 @@ GOLDEN = {
         "arch_pairs": (8, 0),
     },
     "14_tools": {"drawing_height": (1.1598597797, 1e-8), "softer_percent": (3.4038248626, 1e-6)},
-    "15_speed": {"factorisations_ten": (270, 0), "factorisations_one": (58, 0)},
+    "15_speed": {"factorisations_ten": (128, 3), "factorisations_one": (53, 3)},
 }
 
 
