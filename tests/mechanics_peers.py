@@ -74,7 +74,7 @@ def inflate_with_felupe(mesh, n_steps=10, order=1, pressure=PRESSURE, tolerance=
         while reached < target:
             p = min(reached + increment, target)
             field[0].values[:] = start
-            if newton(field, solid, load, free, p, tolerance):
+            if _newton(field, solid, load, free, p, tolerance):
                 start, reached, increment = field[0].values.copy(), p, 2 * increment
             else:
                 increment = (p - reached) / 2
@@ -83,8 +83,7 @@ def inflate_with_felupe(mesh, n_steps=10, order=1, pressure=PRESSURE, tolerance=
     return np.array(deformed)
 
 
-def newton(field, solid, load, free, p, tolerance):
-    """Newton's method on a FElupe model at the pressure p, from the displacement that is in `field`; did it end?"""
+def _newton(field, solid, load, free, p, tolerance):
     for _ in range(25):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
