@@ -10,6 +10,7 @@ from itertools import islice
 from inflate_lib.cache import code_version
 
 IN_FLIGHT = 4  # tasks per thread of the cluster that wait or run at a time
+SCHEMES = ("tcp", "tls", "ws", "wss", "ucx", "inproc")
 PATIENCE = 30  # seconds to wait for the scheduler, and for the first worker
 
 
@@ -40,6 +41,9 @@ def run(address, function, tasks):
         from distributed import Client, as_completed
     except ImportError:
         raise RuntimeError("Dask is not installed here: pip install 'inflate-lib[dask]'") from None
+    scheme, _, place = address.partition("://")
+    if scheme not in SCHEMES or not place:
+        raise RuntimeError(f"{address} is no address of a Dask scheduler; one looks like tcp://host:8786")
     try:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:

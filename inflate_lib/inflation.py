@@ -26,7 +26,7 @@ from numba import njit
 
 from inflate_lib import material, sparse
 from inflate_lib.material import LAMBDA, MU
-from inflate_lib.mesh import Mesh, build_mesh
+from inflate_lib.mesh import Mesh, build_mesh, check_mesh
 
 PRESSURE = 0.01  # internal pressure at t = 1: p(t) = PRESSURE · t
 ELEMENTS = ("mean-dilatation", "q1")
@@ -161,14 +161,14 @@ def inflate(
     if lam <= 0 or mu <= 0:
         raise ValueError(f"lame must be two positive numbers (λ, μ), not {lame!r}")
     check_time_limit(time_limit)
-    mesh = label if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
+    mesh = check_mesh(label) if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
 
     system = _System.of(mesh, element, mu)
     n_steps = len(pressures)
     allowed, limit = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps), ""
     if time_limit is not None and time_limit < allowed * nominal_seconds(system):
         allowed, limit = int(time_limit / nominal_seconds(system)), f", the time limit of {time_limit:g} s"
-    positions, reached, factorisations = _march(*system.arrays(), lam, mu, pressures, allowed)
+    positions, reached, factorisations, turned_over = _march(*system.arrays(), lam, mu, pressures, allowed)
     displacement = np.full((n_steps, *mesh.nodes.shape), np.nan)
     displacement[:reached] = 0.0
     free_positions = positions.reshape(n_steps, len(system.order), 2)[:reached]
@@ -176,7 +176,9 @@ def inflate(
     reason = ""
     if reached < n_steps:
         reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {pressures[reached]:.4g})"
-        if factorisations >= allowed:
+        if turned_over:
+            reason += ": an element turns inside out"
+        elif factorisations >= allowed:
             reason += f" within {allowed} factorisations{limit}"
     return Inflation(
         mesh, element, times, pressures, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
@@ -223,7 +225,7 @@ def check_time_limit(seconds):
     """Raise a ValueError where `seconds` is neither None nor a positive number."""
     if seconds is not None:
         (number,) = _numbers("time_limit", [seconds], 1, "a positive number of seconds")
-        if isinstance(seconds, bool) or number <= 0:
+        if isinstance(seconds, bool | str) or number <= 0:
             raise ValueError(f"time_limit must be a positive number of seconds, not {seconds!r}")
 
 
@@ -275,6 +277,7 @@ class _System:
     stiffness: np.ndarray  # (kinds, 4, 4) μ ∫ ∇N_a·∇N_b dV
     dilatation: np.ndarray  # (kinds, d, 4, 4) antisymmetric G with J = Σ x_a G_ab y_b
     weights: np.ndarray  # (kinds, d) undeformed area that belongs to each J
+    gauss: np.ndarray  # (kinds, 4, 4, 4) G at the Gauss points, whatever the element
     place: np.ndarray  # (m, 4, 4) block of each pair a >= b of an element's nodes, -1 where one is clamped
     edges: np.ndarray  # (k, 2) free nodes of the pressure edges, -1 where clamped
     edges_fixed: np.ndarray  # (k, 2, 2)
@@ -300,7 +303,7 @@ class _System:
         # One row for congruent elements; rounded, so that it is the same for all meshes of the same pixels.
         shapes = np.round(relative[:1], 15) if congruent else relative
         tables = _remembered_tables(shapes.tobytes(), element) if congruent else _element_tables(shapes, element)
-        stiffness, dilatation, weights = tables
+        stiffness, dilatation, gauss, weights = tables
         stiffness = mu * stiffness
 
         constant, pressure = np.zeros((2, pattern.n_blocks, 4))
@@ -309,27 +312,28 @@ class _System:
         pinned = held[order] if held[order].any() else np.zeros((0, 2), dtype=bool)
         return cls(
             tuple(range(weights.shape[1])), pattern, order, mesh.nodes[order].ravel(), cells, corners, kind, stiffness,
-            dilatation, weights, place, edges, mesh.nodes[mesh.pressure_edges], constant, pressure, pinned,
+            dilatation, weights, gauss, place, edges, mesh.nodes[mesh.pressure_edges], constant, pressure, pinned,
         )  # fmt: skip
 
     def arrays(self):
         return (
             self.points, self.pattern, self.x0, self.cells, self.fixed, self.kind, self.stiffness, self.dilatation,
-            self.weights, self.place, self.edges, self.edges_fixed, self.constant, self.pressure, self.pinned,
+            self.weights, self.gauss, self.place, self.edges, self.edges_fixed, self.constant, self.pressure,
+            self.pinned,
         )  # fmt: skip
 
 
 def _element_tables(corners, element):
-    """What depends on the shape of an element only: ∫ ∇N_a·∇N_b dV, G, and the area that belongs to each J."""
+    """What depends on its shape only: ∫ ∇N_a·∇N_b dV, G of each J and of each Gauss point, and the area of each J."""
     gradients, weights = shape_gradients(corners)
     stiffness = np.einsum("mq,mqai,mqbi->mab", weights, gradients, gradients)
     dx, dy = gradients[..., 0], gradients[..., 1]
-    dilatation = dx[..., :, None] * dy[..., None, :] - dy[..., :, None] * dx[..., None, :]
+    gauss = dilatation = dx[..., :, None] * dy[..., None, :] - dy[..., :, None] * dx[..., None, :]
     if element == "mean-dilatation":
         area = weights.sum(axis=1)
-        dilatation = np.einsum("mq,mqab->mab", weights / area[:, None], dilatation)[:, None]
+        dilatation = np.einsum("mq,mqab->mab", weights / area[:, None], gauss)[:, None]
         weights = area[:, None]
-    return stiffness, np.ascontiguousarray(dilatation), weights
+    return stiffness, np.ascontiguousarray(dilatation), np.ascontiguousarray(gauss), weights
 
 
 @lru_cache(maxsize=64)
@@ -383,6 +387,20 @@ def _dilatations(points, corners, kind, dilatation, J, c):
                 c[e, q, a, 0], c[e, q, a, 1] = cx, cy
                 value += corners[e, a, 0] * cx
             J[e, q] = value
+
+
+@njit(cache=True, nogil=True)
+def _turned_over(corners, kind, gauss):
+    """Whether J ≤ 0 at a Gauss point, which a mean over the element does not show."""
+    for e in range(len(corners)):
+        for q in range(4):
+            G, J = gauss[kind[e], q], 0.0
+            for a in range(4):
+                for b in range(1, 4):
+                    J += corners[e, a, 0] * G[a, b] * corners[e, b, 1]
+            if not J > 0.0:
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
@@ -498,18 +516,19 @@ def _largest_step(J, slope, bend, start):
 
 @njit(cache=True, nogil=True)
 def _march(
-    points, pattern, x0, cells, fixed, kind, stiffness, dilatation, weights, place, edges, edges_fixed, constant,
-    pressure, pinned, lam, mu, pressures, allowed,
+    points, pattern, x0, cells, fixed, kind, stiffness, dilatation, weights, gauss, place, edges, edges_fixed,
+    constant, pressure, pinned, lam, mu, pressures, allowed,
 ):  # fmt: skip
     """Follow the equilibrium through the load steps.
 
     Newton's method on Π, with two changes to the tangent. Mixed integration points (Magisano et al. 2017): λ ln J is
-    replaced by its linear extrapolation from the last iterate. And a factorised tangent is used again as long as that
-    shrinks the next step to a tenth or less, which makes the first step under a new pressure Euler's predictor. The
-    residual, and so the solution, is that of Π. A load step that fails is approached in halves. After `allowed`
-    factorisations it gives up, so that every structure ends in bounded time.
+    replaced by its linear extrapolation from the last iterate. And once the moves are shorter than REUSE, a factorised
+    tangent is used again as long as that shrinks the next move to a tenth or less, which makes the first move under a
+    new pressure Euler's predictor. The residual, and so the solution, is that of Π. A load step that fails is
+    approached in halves. After `allowed` factorisations it gives up, so that every structure ends in bounded time.
 
-    Returns positions (steps, 2 free), the number of load steps reached, and the number of factorisations.
+    Returns positions (steps, 2 free), the number of load steps reached, the number of factorisations, and whether the
+    next load step was not reached because an element turned over.
     """
     m, d, n = len(cells), len(points), len(x0) // 2
     corners, moves = np.empty((m, 4, 2)), np.empty((m, 4, 2))
@@ -539,7 +558,7 @@ def _march(
                 theta, fresh = 1.0, not factorised
                 while not factorised:
                     if factorisations >= allowed:
-                        return positions, target, factorisations
+                        return positions, target, factorisations, False
                     _tangent(
                         points, blocks, constant, pressure, cells, kind, dilatation, weights, place, J, c, pi, theta,
                         lam, mu, p,
@@ -588,7 +607,10 @@ def _march(
             else:
                 factorised, halvings = False, halvings + 1
                 if halvings > MAX_HALVINGS:
-                    return positions, target, factorisations
+                    return positions, target, factorisations, False
                 p = 0.5 * (last_pressure + p)
+        _gather(x, cells, fixed, corners)
+        if _turned_over(corners, kind, gauss):
+            return positions, target, factorisations, True
         positions[target] = x
-    return positions, len(pressures), factorisations
+    return positions, len(pressures), factorisations, False

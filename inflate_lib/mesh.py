@@ -82,6 +82,31 @@ def build_mesh(label, refine=1, clamped="bottom"):
     return Mesh(np.column_stack([x, y]) / size, number[lattice_cells], number[lattice_edges], held)
 
 
+def check_mesh(mesh):
+    """Return a mesh that was made by hand, or raise a ValueError that says why it cannot be inflated."""
+    nodes, n = np.asarray(mesh.nodes), len(mesh.nodes)
+    if nodes.dtype != float or nodes.shape != (n, 2) or not np.isfinite(nodes).all():
+        raise ValueError("mesh: nodes must be finite coordinates in double precision, of shape (n, 2)")
+    for name, width in (("cells", 4), ("pressure_edges", 2)):
+        numbers = np.asarray(getattr(mesh, name))
+        if numbers.ndim != 2 or numbers.shape[1] != width or not np.issubdtype(numbers.dtype, np.integer):
+            raise ValueError(f"mesh: {name} must be node numbers of shape (·, {width}), not {numbers.shape}")
+        if numbers.size and not 0 <= numbers.min() <= numbers.max() < n:
+            raise ValueError(f"mesh: {name} has numbers outside 0 … {n - 1}")
+    x, y = np.moveaxis(nodes[mesh.cells], -1, 0)
+    twice_area = (x[:, 2] - x[:, 0]) * (y[:, 3] - y[:, 1]) - (x[:, 3] - x[:, 1]) * (y[:, 2] - y[:, 0])
+    if not len(mesh.cells) or not np.all(twice_area > 0):
+        raise ValueError("mesh: cells must be quadrilaterals with corners in counter-clockwise order, at least one")
+    if len(np.unique(mesh.cells)) < n:
+        raise ValueError("mesh: some nodes belong to no cell")
+    clamped = np.asarray(mesh.clamped)
+    if clamped.dtype != bool or clamped.shape not in ((n,), (n, 2)):
+        raise ValueError(f"mesh: clamped must be bool of shape ({n},) or ({n}, 2), not {clamped.shape}")
+    if clamped.all() or not clamped.any():
+        raise ValueError("mesh: some nodes must be clamped, and some free")
+    return mesh
+
+
 def check_label(label, clamped="bottom"):
     """Return `label` as a float array, or raise a ValueError that says why it cannot be inflated."""
     turns = turns_to_bottom(clamped)

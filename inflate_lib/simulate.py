@@ -71,7 +71,8 @@ def simulate_files(files, options):
         raise ValueError(f"engine must be one of {', '.join(ENGINES)}, not {options.engine!r}")
     if options.engine == "moose" and options.moose is None:
         raise ValueError("engine moose needs a folder for its files: --moose DIR")
-    for name, suffixes in (("gif", (".gif",)), ("vtk", (".pvd", ".vtu"))):
+    pictures = (".png", ".svg", ".pdf", ".jpg")
+    for name, suffixes in (("plot", pictures), ("gif", (".gif",)), ("vtk", (".pvd", ".vtu"))):
         path = getattr(options, name)
         if path is not None and Path(path).suffix.lower() not in suffixes:
             raise ValueError(f"{name}: {path} must end with {' or '.join(suffixes)}")

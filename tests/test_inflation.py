@@ -23,6 +23,7 @@ from inflate_lib.structures import EDGES
 
 DIGITS = load_sevens("digits").images
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+HOOK = build_mesh(hook())
 # The patch of five irregular quadrilaterals of MacNeal and Harder (1985), scaled.
 PATCH = Mesh(
     np.array([[0, 0], [0.24, 0], [0.24, 0.12], [0, 0.12], [0.04, 0.02], [0.18, 0.03], [0.16, 0.08], [0.08, 0.08]]) * 4,
@@ -313,6 +314,33 @@ def test_deflation_comes_back_the_way_it_went(element):
         assert np.abs(u[3] - u[0]).max() < 1e-11
         for p, along in ((0.01, u[1]), (0.006, u[2])):
             assert np.abs(inflate(label, 1, element, pressure=p).displacement[0] - along).max() < 1e-11
+
+
+def test_an_element_that_turns_inside_out_is_no_equilibrium():
+    """The mean of J over an element may be 1 while J is negative at one of its corners."""
+    results = [inflate(label_image(image), n_steps=1, pressure=0.04) for image in DIGITS[::4]]
+    assert any(result.converged for result in results)
+    assert any("inside out" in result.reason for result in results)
+    for result in results:
+        assert not result.converged or np.linalg.det(result.deformation_gradient).min() > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"nodes": HOOK.nodes.astype(np.float32)}, "double precision"),
+        ({"nodes": np.full_like(HOOK.nodes, np.nan)}, "finite"),
+        ({"nodes": np.concatenate([HOOK.nodes, [[0.5, 0.5]]])}, "belong to no cell"),
+        ({"cells": HOOK.cells[:, ::-1]}, "counter-clockwise"),
+        ({"cells": HOOK.cells + 1}, "outside"),
+        ({"clamped": np.ones(len(HOOK.nodes), dtype=bool)}, "some free"),
+        ({"clamped": np.zeros(len(HOOK.nodes), dtype=bool)}, "clamped"),
+        ({"clamped": np.zeros(3, dtype=bool)}, "shape"),
+    ],
+)
+def test_a_mesh_that_cannot_be_inflated_says_why(change, message):
+    with pytest.raises(ValueError, match=message):
+        inflate(replace(HOOK, **change))
 
 
 def test_history_of_a_ramp_is_the_ramp():
