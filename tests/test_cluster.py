@@ -151,7 +151,7 @@ def test_no_scheduler_and_no_workers_are_told(monkeypatch):
     monkeypatch.setattr(cluster, "PATIENCE", 1)
     with pytest.raises(RuntimeError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
         list(cluster.run("tcp://127.0.0.1:1", slowly, [(1,)]))
-    with pytest.raises(RuntimeError, match="nonsense:.* is no address of a Dask scheduler"):
+    with pytest.raises(RuntimeError, match=r"nonsense:.* is no address of a Dask scheduler"):
         list(cluster.run("nonsense://x", slowly, [(1,)]))
     options = {"n_workers": 0, "dashboard_address": "127.0.0.1:0", "host": "127.0.0.1", "silence_logs": 50}
     with distributed.LocalCluster(**options) as empty, pytest.raises(RuntimeError, match="has no workers"):
