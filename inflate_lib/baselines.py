@@ -61,11 +61,11 @@ class Autoencoder(nn.Module):
         a, b, c = width, 2 * width, 4 * width
         self.deepest = c
         self.told = nn.Sequential(nn.Linear(n_conditions, 64), nn.SiLU(), nn.Linear(64, TOLD), nn.SiLU())
-        self.encoder = nn.Sequential(*_block(1, a), *_block(a, b, stride=2), *_block(b, c, stride=2), nn.Flatten())
+        self.encoder = nn.Sequential(*_layer(1, a), *_layer(a, b, stride=2), *_layer(b, c, stride=2), nn.Flatten())
         self.posterior = nn.Linear(49 * c + TOLD, 2 * LATENT)
         self.unfold = nn.Linear(LATENT + TOLD, 49 * c)
         up = nn.Upsample(scale_factor=2)
-        self.decoder = nn.Sequential(*_block(c, c), up, *_block(c, b), up, *_block(b, a), nn.Conv2d(a, 1, 3, padding=1))
+        self.decoder = nn.Sequential(*_layer(c, b), up, *_layer(b, a), up, nn.Conv2d(a, 1, 3, padding=1))
 
     @property
     def n_parameters(self) -> int:
@@ -205,9 +205,5 @@ def _count(n_conditions, width):
         return Autoencoder(n_conditions, width).n_parameters
 
 
-def _block(inputs, outputs, stride=1):
-    """Two convolutions, each with normalisation; the first may halve the grid."""
-    layers = []
-    for before, step in ((inputs, stride), (outputs, 1)):
-        layers += [nn.Conv2d(before, outputs, 3, stride=step, padding=1), nn.GroupNorm(1, outputs), nn.SiLU()]
-    return layers
+def _layer(inputs, outputs, stride=1):
+    return nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1), nn.GroupNorm(1, outputs), nn.SiLU()
