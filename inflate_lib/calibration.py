@@ -61,8 +61,8 @@ class Calibration:
             if weakest >= LEAST_SLOPE:
                 return cls(mean, chosen, offset, slope)
         raise ValueError(
-            f"the model hardly follows its descriptor (slope {weakest:.2f} of achieved on wanted): train it longer, or do "
-            "without calibration"
+            f"the model hardly follows its descriptor (slope {weakest:.2f} of achieved on wanted): train it longer, "
+            "or do without calibration"
         )
 
     def answer(self, told):
