@@ -16,12 +16,14 @@ SEED = 1  # of the choice of targets, and of the noise
 _CARD = """# Weights of the profile `{profile}`
 
 One conditional diffusion model for each descriptor of an inflated structure, float16 safetensors, for
-`inflate_lib.diffusion.TrainedModel.load`. This page was written by `inflate card {folder}`, which measures what it states.
+`inflate_lib.diffusion.TrainedModel.load`. This page was written by `inflate card {folder}`, which measures what it
+states.
 
 ## Data
 
-{source}: {structures} structures that inflate, of which every tenth (those whose index ends in 9) was held out with all its flips and
-shifts; {pairs} pairs of image and descriptor were trained on. Digest of the images: `{data}`. The images are not in here.
+{source}: {structures} structures that inflate, of which every tenth (those whose index ends in 9) was held out with
+all its flips and shifts; {pairs} pairs of image and descriptor were trained on. Digest of the images: `{data}`. The
+images are not in here.
 
 ## Recipe
 
@@ -31,25 +33,28 @@ shifts; {pairs} pairs of image and descriptor were trained on. Digest of the ima
 
 {training}
 
-Seconds are wall-clock seconds on the device named; the loss is the mean of the last interval of training, the held-out loss the
-simple loss on the structures that were left out.
+Seconds are wall-clock seconds on the device named; the loss is the mean of the last interval of training, the
+held-out loss the simple loss on the structures that were left out.
 
 ## Accuracy
 
-For each model the descriptors of {n} held-out structures were asked for, one structure was drawn for each and inflated, and what it
-achieved was compared with what was asked for; sampling: {sampling}; {calibration}. In brackets: 95 % bootstrap intervals. Errors are
-those of valid structures: drawings of one closed structure that converges at each load step.
+For each model the descriptors of {n} held-out structures were asked for, one structure was drawn for each and
+inflated, and what it achieved was compared with what was asked for; sampling: {sampling}; {calibration}. In
+brackets: 95 % bootstrap intervals. Errors are those of valid structures: drawings of one closed structure that
+converges at each load step.
 
 {accuracy}
 
 ## Limits
 
-- The models draw handwritten sevens of 28 × 28 pixels and know nothing else. Descriptors outside the range of the training data
-  (in each file's header) are refused unless asked for explicitly.
-- The descriptors are those of one material, one wall thickness and one pressure. Other conditions need other simulations and other weights.
-- Single structures miss their target by the errors above: simulate what was drawn, and choose. Self-contact of the inflated walls is
-  not modelled.
-- Weights are used for a run only if the recipe and the images are the same to the last bit; otherwise models are trained anew.
+- The models draw handwritten sevens of 28 × 28 pixels and know nothing else. Descriptors outside the range of the
+  training data (in each file's header) are refused unless asked for explicitly.
+- The descriptors are those of one material, one wall thickness and one pressure. Other conditions need other
+  simulations and other weights.
+- Single structures miss their target by the errors above: simulate what was drawn, and choose. Self-contact of the
+  inflated walls is not modelled.
+- Weights are used for a run only if the recipe and the images are the same to the last bit; otherwise models are
+  trained anew.
 """
 
 _MEASURES = {

@@ -1,0 +1,99 @@
+"""What matters? The same targets, asked again with one thing changed: in sampling, or in training.
+
+Sampling is varied with a trained model at hand. Training is varied by training again, for a small budget: that is what
+``benchmarks/ablation.py`` does once, for the table that the book shows.
+"""
+
+import warnings
+
+import pandas as pd
+
+from inflate_lib.evaluation import scores
+from inflate_lib.generation import run_experiment
+
+GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
+FAST = (10, 20, 50)  # steps of the fast samplers
+SIZES = (200, 600, 2000)  # structures, besides all
+MEASURES = {"R²": "R²", "median error": "median error / target", "valid": "valid"}
+PAPER = {
+    "objective": "epsilon",
+    "timestep_draws": 1,
+    "ema_decay": 0.0,
+    "learning_rate": 1.0e-4,
+    "learning_rate_decay": "constant",
+    "warmup_steps": 0,
+}
+
+
+def sampling_variants(sampling):
+    """Ways of sampling, (group, name) → options of :func:`inflate_lib.diffusion.generate`."""
+    plain = {**sampling, "guidance": 1.0}
+    variants = {("guidance", f"w = {w:g}"): {**sampling, "guidance": w} for w in GUIDANCE}
+    variants["sampler", "ancestral, all steps"] = {**plain, "sampler": "ancestral"}
+    for sampler, name in (("ddim", "DDIM"), ("dpm-solver++", "DPM-Solver++")):
+        for steps in FAST:
+            variants["sampler", f"{name}, {steps} steps"] = {**plain, "sampler": sampler, "steps": steps}
+    return variants
+
+
+def training_variants(training):
+    """Ways of training, (group, name) → (options of ``TrainingConfig``, number of structures; None: all)."""
+    other = {"epsilon": "v", "v": "epsilon"}[training.get("objective", "epsilon")]
+    names = {"epsilon": "ε-prediction", "v": "v-prediction"}
+    variants = {("recipe", "of this profile"): (training, None)}
+    if training.get("ema_decay", 0.0) > 0:
+        variants["recipe", "without EMA"] = ({**training, "ema_decay": 0.0}, None)
+    variants["recipe", names[other]] = ({**training, "objective": other}, None)
+    if training.get("vlb_weight", 0.001) > 0:
+        variants["recipe", "without the VLB term"] = ({**training, "vlb_weight": 0.0}, None)
+    variants["recipe", "paper's loss and optimiser"] = ({**training, **PAPER}, None)
+    for n in SIZES:
+        variants["data", f"{n} structures"] = (training, n)
+    return variants
+
+
+def sampling_ablation(model, descriptor, data, targets, sampling, seed=0):
+    """The same targets, sampled in every way of :func:`sampling_variants`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row per way: group, variant, and of each measure the value with low and high, the ends of its interval.
+    """
+    rows = []
+    for (group, name), options in sampling_variants(sampling).items():
+        experiment = run_experiment(model, descriptor, targets, 1, options, seed)
+        rows.append({"group": group, "variant": name} | measures(experiment, descriptor, data, seed))
+    return pd.DataFrame(rows)
+
+
+def evaluate_variant(model, descriptor, data, targets, sampling, seed=0, n_jobs=-1):
+    """Measures of one model on given targets; those outside the range that it was trained on count as well."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* lie outside the training data")
+        experiment = run_experiment(model, descriptor, targets, 1, sampling, seed, n_jobs, extrapolate=True)
+    return measures(experiment, descriptor, data, seed)
+
+
+def measures(experiment, descriptor, data, seed=0):
+    """R², median error and share of valid structures, each with low and high, as a flat dict."""
+    table = scores(experiment, descriptor, data, seed=seed).set_index("measure")
+    row = {}
+    for name, measure in MEASURES.items():
+        if descriptor == "axis" and name == "median error":
+            measure = "median point distance"
+        value = table.loc[measure]
+        row |= {name: value["value"], f"{name} low": value["low"], f"{name} high": value["high"]}
+    return row
+
+
+def over_seeds(runs):
+    """Runs of ``benchmarks/ablation.py``, one row per run → one per variant: mean over the seeds, lowest, highest."""
+    rows = []
+    for (group, name), part in runs.groupby(["group", "variant"], sort=False):
+        row = {"group": group, "variant": name, "seeds": len(part)}
+        for measure in MEASURES:
+            row |= {measure: part[measure].mean(), f"{measure} low": part[measure].min()}
+            row[f"{measure} high"] = part[measure].max()
+        rows.append(row)
+    return pd.DataFrame(rows)
