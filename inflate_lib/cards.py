@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from inflate_lib.cache import digest
 from inflate_lib.calibration import calibrate
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.evaluation import score, scores, with_interval
@@ -102,7 +103,7 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, se
     training, accuracy = {}, {}
     for file in files:
         name, model = file.stem, TrainedModel.load(file)
-        if model.metadata.get("structures") != int(data["converged"].sum()):
+        if model.metadata.get("data") != digest(data["image"].values, data["converged"].values):
             raise ValueError(f"{file} was trained on other data: {model.metadata.get('structures')} structures")
         calibration = calibrate(model, name, data, sampling, seed, n_calibration) if n_calibration else None
         targets, _ = held_out_targets(data, name, model, n, seed)
