@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs
 
-from inflate_lib import augmentation, datasets, diffusion, paths
+from inflate_lib import augmentation, datasets, descriptors, diffusion, paths
 from inflate_lib.augmentation import apply_variants, augment, augment_descriptors
 from inflate_lib.cache import RETRAIN, cached, code_version, digest
 from inflate_lib.descriptors import check_name, descriptor_matrix
@@ -77,7 +77,7 @@ def trained_model_file(
         A safetensors file for :meth:`inflate_lib.diffusion.TrainedModel.load`; None in all processes but the first. A
         killed training goes on from its last checkpoint.
     """
-    config = TrainingConfig.from_dict({**training, "seed": seed})
+    config = _config(descriptor, training, seed)
     about = _about(descriptor, data, n_augmented)
 
     def make(target, scratch):
@@ -121,7 +121,7 @@ def committed_weights(descriptor, training, data, n_augmented=augmentation.PAPER
     ValueError
         A file there is damaged, or not one of this library.
     """
-    recipe = TrainingConfig.from_dict({**training, "seed": seed}).recipe()
+    recipe = _config(descriptor, training, seed).recipe()
     about, mean, why_not = _about(descriptor, data, n_augmented), _mean(descriptor, data), ""
     for path in sorted(paths.PRETRAINED.glob(f"*/{descriptor}.safetensors")):
         model = TrainedModel.load(path)
@@ -190,17 +190,17 @@ def training_cost(names: Sequence[str], training, data, n_augmented=augmentation
         A row per model: seconds per step (median over the run), images per second, steps and hours of the whole
         training, and how many models train at a time.
     """
-    whole = TrainingConfig.from_dict({**training, "seed": seed})
-    config = replace(whole, steps=steps, epochs=None, log_every=max(1, steps // 10))
 
     def one(name, threads):
+        whole = _config(name, training, seed)
+        config = replace(whole, steps=steps, epochs=None, log_every=max(1, steps // 10))
         images, conditions = training_pairs(data, name, n_augmented, seed)
         model = train(images, conditions, config, progress=f"dry run {name}", threads=threads)
         return model.metadata["seconds_per_step"], whole.training_steps(len(images))
 
     measured = pd.DataFrame(_side_by_side(one, names, training), columns=["seconds per step", "steps"])
     measured.insert(0, "descriptor", list(names))
-    measured["images per second"] = whole.batch_size / measured["seconds per step"]
+    measured["images per second"] = _config(names[0], training, seed).batch_size / measured["seconds per step"]
     measured["hours"] = measured["seconds per step"] * measured["steps"] / 3600
     measured["side by side"] = _jobs(names, training)
     return measured
@@ -216,6 +216,12 @@ def _side_by_side(task, names, training):
 def _jobs(names, training):
     alone = choose_device(training.get("device", "auto")).type == "mps" or ranks.world() > 1
     return 1 if alone else min(len(names), effective_n_jobs(-1))
+
+
+def _config(descriptor, training, seed):
+    """The training configuration of one descriptor's model."""
+    parts = list(descriptors.PARTS.values()) if descriptor == descriptors.JOINT else []
+    return TrainingConfig.from_dict({**training, "seed": seed, "parts": parts})
 
 
 def _held_out(data):

@@ -34,7 +34,15 @@ COMPONENTS = {"height": ["h"], "width": ["w"], "box": ["h", "w"], "area": ["A"]}
 
 
 def run_experiment(
-    model, descriptor, targets, n_per_target=50, sampling: Mapping | None = None, seed=0, n_jobs=-1, extrapolate=False
+    model,
+    descriptor,
+    targets,
+    n_per_target=50,
+    sampling: Mapping | None = None,
+    seed=0,
+    n_jobs=-1,
+    extrapolate=False,
+    calibration=None,
 ):
     """Generate structures for each target, inflate and describe them (paper sec. 2.3).
 
@@ -54,6 +62,8 @@ def run_experiment(
         Processes of the simulation.
     extrapolate : bool
         Generate for targets outside the range of the training data as well, with a warning.
+    calibration : inflate_lib.calibration.Calibration, optional
+        Turns each target into what the model has to be told to reach it; by default that is the target itself.
 
     Returns
     -------
@@ -71,9 +81,12 @@ def run_experiment(
     if n_per_target < 1:
         raise ValueError(f"n_per_target must be at least 1, not {n_per_target!r}")
     level = np.repeat(np.arange(len(targets)), n_per_target)
+    told = targets if calibration is None else calibration.told(targets)
+    if model.config.parts:  # one model for all descriptors
+        told = descriptors.joint_conditions(descriptor, told)
 
     def make(target, scratch):
-        drawn = _draw(model, targets[level], seed, sampling, scratch)
+        drawn = _draw(model, told[level], seed, sampling, scratch)
         images = np.concatenate(list(progress.track(drawn, len(level), f"generating structures ({descriptor})")))
         data = judge(images, descriptor, targets, level, n_jobs, scratch)
         data.attrs |= {"seed": seed} | {f"sampling_{k}": v for k, v in sampling.items()}
@@ -84,6 +97,7 @@ def run_experiment(
         "model": model_digest(model),
         "objective": model.config.objective,
         "targets": digest(targets),
+        "told": digest(told),
         "n_per_target": n_per_target,
         "sampling": sampling,
         "seed": seed,
@@ -136,18 +150,19 @@ def check_targets(model, descriptor, targets, extrapolate=False):
     ValueError
         With the range, for targets outside it. With `extrapolate` it is a warning instead.
     """
-    components = descriptors.DESCRIPTORS[descriptors.check_name(descriptor)]
+    components = descriptors.length(descriptor)
     targets = np.asarray(targets, dtype=float)
     if targets.size == 0 or targets.size % components:
         raise ValueError(f"targets for {descriptor} must have shape (k, {components}), not {targets.shape}")
     targets = targets.reshape(-1, components)
-    fits = _fits(model, targets)
+    low, high = target_range(model, descriptor)
+    fits = _fits(low, high, targets)
     outside = ~fits.all(axis=1)
     if outside.any():
         row = int(np.argmax(outside))
         column = int(np.argmin(fits[row]))
         what = f"target {row} asks for {component_name(descriptor, column)} = {targets[row, column]:.4g}"
-        seen = f"{model.condition_min[column]:.4g} to {model.condition_max[column]:.4g}"
+        seen = f"{low[column]:.4g} to {high[column]:.4g}"
         many = f"{outside.sum()} of {len(targets)} targets for {descriptor} lie outside the training data"
         text = f"{many}: {what}, where structures from {seen} were seen"
         if not extrapolate:
@@ -156,9 +171,18 @@ def check_targets(model, descriptor, targets, extrapolate=False):
     return targets
 
 
-def inside(model, targets):
+def inside(model, descriptor, targets):
     """Which targets (k, N) lie within the range of the training data in every component, (k,) bool."""
-    return _fits(model, targets).all(axis=1)
+    return _fits(*target_range(model, descriptor), targets).all(axis=1)
+
+
+def target_range(model, descriptor):
+    """Least and largest value of each component of a descriptor that a model was trained on, (N,) each."""
+    n = descriptors.length(descriptor)
+    if len(model.condition_min) == n:
+        return model.condition_min, model.condition_max
+    asked = ~np.isnan(descriptors.joint_conditions(descriptor, np.zeros((1, n)))[0])  # of a model for all descriptors
+    return model.condition_min[asked], model.condition_max[asked]
 
 
 def component_name(descriptor, column):
@@ -192,7 +216,7 @@ def held_out_targets(data, descriptor, model=None, n=200, seed=0):
     usable = np.flatnonzero(data["converged"].values & held_out(data))
     order = np.random.default_rng(seed).permutation(usable)
     matrix = descriptor_matrix(data, descriptor)
-    rows = order if model is None else order[inside(model, matrix[order])]
+    rows = order if model is None else order[inside(model, descriptor, matrix[order])]
     return matrix[rows[:n]], rows[:n]
 
 
@@ -242,7 +266,7 @@ def _draw(model, targets, seed, sampling, folder):
         yield len(images), images
 
 
-def _fits(model, targets):
+def _fits(low, high, targets):
     """Which components lie within the range of the training data; NaN does not."""
-    slack = 1e-9 * np.maximum(1, np.abs(model.condition_max))  # rounding
-    return (targets >= model.condition_min - slack) & (targets <= model.condition_max + slack)
+    slack = 1e-9 * np.maximum(1, np.abs(high))  # rounding
+    return (targets >= low - slack) & (targets <= high + slack)

@@ -159,7 +159,7 @@ def test_scores_of_an_experiment_whose_errors_are_known():
     table = scores(experiment(target, achieved, valid, contact=np.arange(101) % 4), "height", data, n_resamples=200)
     assert score(table, "median error / target") == pytest.approx(2.5)
     assert score(table, "mean error / target") == pytest.approx(2.5)
-    assert score(table, "within 2%") == score(table, "within 5%") - 50 == pytest.approx(50)
+    assert score(table, "within 2 %") == score(table, "within 5 %") - 50 == pytest.approx(50)
     assert score(table, "valid") == pytest.approx(100 * 100 / 101) and score(table, "self-contact") == 75
     assert score(table, "R²") == pytest.approx(r2_score(target[valid], achieved[valid]))
     absolute = np.abs(achieved - target)[valid]
