@@ -5,6 +5,7 @@ Sampling is varied with a trained model at hand. Training is varied by training 
 """
 
 import warnings
+from contextlib import suppress
 
 import pandas as pd
 
@@ -30,12 +31,11 @@ PAPER = {
 
 def sampling_variants(sampling):
     """Ways of sampling, (group, name) → options of :func:`inflate_lib.diffusion.generate`."""
-    plain = {**sampling, "guidance": 1.0}
     variants = {("guidance", f"w = {w:g}"): {**sampling, "guidance": w} for w in GUIDANCE}
-    variants["sampler", "ancestral, all steps"] = {**plain, "sampler": "ancestral"}
+    variants["sampler", "ancestral, all steps"] = {**sampling, "sampler": "ancestral"}
     for sampler, name in (("ddim", "DDIM"), ("dpm-solver++", "DPM-Solver++")):
         for steps in FAST:
-            variants["sampler", f"{name}, {steps} steps"] = {**plain, "sampler": sampler, "steps": steps}
+            variants["sampler", f"{name}, {steps} steps"] = {**sampling, "sampler": sampler, "steps": steps}
     return variants
 
 
@@ -67,8 +67,10 @@ def training_variants(training):
     return variants
 
 
-def sampling_ablation(model, descriptor, data, targets, sampling, seed=0):
+def sampling_ablation(model, descriptor, data, targets, sampling, seed=0, n_calibration=0):
     """The same targets, sampled in every way of :func:`sampling_variants`.
+
+    With `n_calibration` structures each way is calibrated by itself, and a last row is `sampling` without calibration.
 
     Returns
     -------
@@ -77,22 +79,26 @@ def sampling_ablation(model, descriptor, data, targets, sampling, seed=0):
     """
     rows = []
     for (group, name), options in sampling_variants(sampling).items():
-        experiment = run_experiment(model, descriptor, targets, 1, options, seed)
-        rows.append({"group": group, "variant": name} | measures(experiment, descriptor, data, seed))
+        measured = evaluate_variant(model, descriptor, data, targets, options, seed, n_calibration=n_calibration)
+        rows.append({"group": group, "variant": name} | measured)
+    if n_calibration:
+        measured = evaluate_variant(model, descriptor, data, targets, sampling, seed, n_calibration=0)
+        rows.append({"group": "calibration", "variant": "none"} | measured)
     return pd.DataFrame(rows)
 
 
-def evaluate_variant(model, descriptor, data, targets, sampling, seed=0, n_jobs=-1):
+def evaluate_variant(model, descriptor, data, targets, sampling, seed=0, n_jobs=-1, n_calibration=N_CALIBRATION):
     """Measures of one model on given targets; those outside the range that it was trained on count as well.
 
-    The targets are calibrated (:mod:`inflate_lib.calibration`), unless the model does not listen enough for that.
+    The targets are calibrated (:mod:`inflate_lib.calibration`), unless the model does not listen enough for that, or
+    `n_calibration` is 0.
     """
+    calibration = None
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".* lie outside the (training data|range of the training data)")
-        try:
-            calibration = calibrate(model, descriptor, data, sampling, seed, N_CALIBRATION, n_jobs)
-        except ValueError:
-            calibration = None
+        if n_calibration:
+            with suppress(ValueError):
+                calibration = calibrate(model, descriptor, data, sampling, seed, n_calibration, n_jobs)
         experiment = run_experiment(model, descriptor, targets, 1, sampling, seed, n_jobs, True, calibration)
     return measures(experiment, descriptor, data, seed)
 

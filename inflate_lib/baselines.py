@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from inflate_lib import augmentation, datasets, learning
 from inflate_lib.cache import cached, code_version, digest
+from inflate_lib.calibration import Calibration
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import storage
 from inflate_lib.diffusion.training import random_generator
@@ -61,11 +62,11 @@ class Autoencoder(nn.Module):
         a, b, c = width, 2 * width, 4 * width
         self.deepest = c
         self.told = nn.Sequential(nn.Linear(n_conditions, 64), nn.SiLU(), nn.Linear(64, TOLD), nn.SiLU())
-        self.encoder = nn.Sequential(*_block(1, a), *_block(a, b, stride=2), *_block(b, c, stride=2), nn.Flatten())
+        self.encoder = nn.Sequential(*_layer(1, a), *_layer(a, b, stride=2), *_layer(b, c, stride=2), nn.Flatten())
         self.posterior = nn.Linear(49 * c + TOLD, 2 * LATENT)
         self.unfold = nn.Linear(LATENT + TOLD, 49 * c)
         up = nn.Upsample(scale_factor=2)
-        self.decoder = nn.Sequential(*_block(c, c), up, *_block(c, b), up, *_block(b, a), nn.Conv2d(a, 1, 3, padding=1))
+        self.decoder = nn.Sequential(*_layer(c, b), up, *_layer(b, a), up, nn.Conv2d(a, 1, 3, padding=1))
 
     @property
     def n_parameters(self) -> int:
@@ -181,23 +182,38 @@ def nearest_width(n_conditions, n_parameters):
     return min(range(2, 129), key=lambda width: abs(_count(n_conditions, width) - n_parameters))
 
 
-def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1):
+def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1, calibration=None):
     """Structures that an autoencoder draws for targets (k, N), one each, as :func:`.generation.run_experiment` does."""
     targets = check_targets(model, descriptor, targets)
+    told = targets if calibration is None else calibration.told(targets)
 
     def make(target, scratch):
-        data = judge(model.generate(targets, seed), descriptor, targets, n_jobs=n_jobs, folder=scratch)
+        data = judge(model.generate(told, seed), descriptor, targets, n_jobs=n_jobs, folder=scratch)
         datasets.save_dataset(data, target)
 
     weights = [value.numpy() for _, value in sorted(model.net.state_dict().items())]
     key = {
         "descriptor": descriptor,
         "model": digest(*weights, model.condition_min, model.condition_max),
-        "targets": digest(targets),
+        "targets": digest(targets, told),
         "seed": seed,
         "code": [code(), code_version(augmentation, __name__)],
     }
     return datasets.load_dataset(cached("experiment", key, make, ".nc"))
+
+
+def calibrate_autoencoder(model, descriptor, data, seed=0, n=200, n_jobs=-1):
+    """Measure how an autoencoder answers (:mod:`inflate_lib.calibration`); None where n is 0 or it hardly listens."""
+    if n == 0:
+        return None
+    known = descriptor_matrix(data, descriptor)[training_rows(data)]
+    targets = known[np.random.default_rng([seed, 5]).permutation(len(known))[:n]]
+    answer = run_autoencoder(model, descriptor, targets, seed + 1_000_003, n_jobs)
+    valid = answer["valid"].values
+    try:
+        return Calibration.fit(targets[valid], descriptor_matrix(answer, descriptor)[valid])
+    except ValueError:
+        return None
 
 
 def _count(n_conditions, width):
@@ -205,9 +221,5 @@ def _count(n_conditions, width):
         return Autoencoder(n_conditions, width).n_parameters
 
 
-def _block(inputs, outputs, stride=1):
-    """Two convolutions, each with normalisation; the first may halve the grid."""
-    layers = []
-    for before, step in ((inputs, stride), (outputs, 1)):
-        layers += [nn.Conv2d(before, outputs, 3, stride=step, padding=1), nn.GroupNorm(1, outputs), nn.SiLU()]
-    return layers
+def _layer(inputs, outputs, stride=1):
+    return nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1), nn.GroupNorm(1, outputs), nn.SiLU()

@@ -275,7 +275,7 @@ def _kind(reason):
 
 
 def _limit(limit, unit):
-    return f"{limit:g} px" if unit == "px" else f"{limit:.0%}"
+    return f"{limit:g} px" if unit == "px" else f"{100 * limit:.0f} %"
 
 
 def _mean(values):

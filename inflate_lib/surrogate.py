@@ -18,13 +18,13 @@ from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import storage
 from inflate_lib.generation import training_rows
 
-CHANNELS, HIDDEN, BATCH = (16, 32, 64), 128, 64
+CHANNELS, HIDDEN, BATCH = (8, 16, 32), 128, 64
 #: Columns of the answer that belong to each descriptor.
 COLUMNS = {"height": slice(0, 1), "width": slice(1, 2), "box": slice(0, 2), "area": slice(2, 3), "axis": slice(3, 63)}
 
 
 class Network(nn.Module):
-    """Three convolutions, on 28, 14 and 7 pixels a side, and two dense layers."""
+    """Two convolutions each on 28, 14 and 7 pixels a side, and two dense layers."""
 
     def __init__(self, outputs: int = 63, channels=CHANNELS, hidden: int = HIDDEN):
         super().__init__()
@@ -67,7 +67,7 @@ class Surrogate:
         return answers[:, COLUMNS[descriptor]]
 
 
-def train_surrogate(data, steps=3000, seed=0, rows=None):
+def train_surrogate(data, steps=1500, seed=0, rows=None):
     """Train the surrogate, or find it trained in the cache.
 
     Parameters
