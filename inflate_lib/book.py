@@ -62,10 +62,9 @@ def _configure(app, config):
     profile = stamps[0]["profile"] if stamps else "none"
     config.html_theme_options = {**config.html_theme_options, "extra_footer": footer(profile)}
     picture = Path("..", paths.FIGURES.name, profile, f"{HERO}.png")
-    if (paths.BOOK / picture).is_file():
-        caption = f"The pipeline at a glance, drawn from results of this book's run (profile {profile})."
-        hero = f"```{{figure}} {picture.as_posix()}\n:alt: {HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
-        config.myst_substitutions = {**config.myst_substitutions, "hero": hero, "profile": profile}
+    caption = f"The pipeline at a glance, drawn from results of this book's run (profile {profile})."
+    hero = f"```{{figure}} {picture.as_posix()}\n:alt: {HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
+    config.myst_substitutions = {**config.myst_substitutions, "hero": hero if (paths.BOOK / picture).is_file() else ""}
     data = paths.FIGURES / profile / f"{EXPLORER}.js"
     if data.is_file():
         config.html_static_path = [*config.html_static_path, str(data)]

@@ -350,7 +350,7 @@ def errors(experiment, descriptor):
     Returns
     -------
     (n,) float
-        Height, width, area: relative error |achieved − target| / target. Box: the mean of its two relative errors.
+        Height, width, area: relative error ``|achieved − target| / target``. Box: the mean of its two relative errors.
         Axis: mean distance of the thirty points, in pixels. NaN where the structure is not valid.
     """
     target, achieved = experiment["target"].values, descriptor_matrix(experiment, descriptor)

@@ -179,7 +179,7 @@ def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> Job:
 
 def _shared_fingerprint() -> dict[str, Any]:
     """What every notebook may depend on: the library (not this runner), the reference numbers, weights, versions."""
-    runner = {"__init__.py", "book.py", "cli.py", "display.py", "execution.py", "reproduce.py"}
+    runner = {"__init__.py", "book.py", "cli.py", "display.py", "execution.py", "printing.py", "reproduce.py"}
     package = Path(__file__).parent
     modules = sorted(p for p in package.rglob("*.py") if p.parent != package or p.name not in runner)
     data = sorted(p for folder in (paths.REFERENCE, paths.PRETRAINED) for p in folder.rglob("*") if p.is_file())
