@@ -1,5 +1,6 @@
 """The picture on the first page: from a target to inflated structures, out of real results."""
 
+import numpy as np
 from matplotlib.patches import FancyArrowPatch
 
 from inflate_lib.plotting.structures import draw_inflated, draw_label
@@ -27,23 +28,21 @@ def plot_glance(target, states, steps, labels, results, heights):
     -------
     matplotlib.figure.Figure
     """
-    n_rows, n_states = len(results), len(steps)
-    fig, axes = figure(
-        n_rows, n_states + 3, height=2.9 * n_rows + 0.9, squeeze=False, width_ratios=[0.9] + [1] * (n_states + 1) + [1.25]
-    )
+    n_rows, n_states = max(1, len(results)), len(steps)
+    columns = {"squeeze": False, "width_ratios": [0.9] + [1] * (n_states + 1) + [1.25]}
+    fig, axes = figure(n_rows, n_states + 3, height=2.9 * n_rows + 0.9, **columns)
+    for ax in axes.flat:
+        picture_axes(ax)
     tallest = 1.08 * max(target, *heights)
-    width = 1.15 * max(float(result.deformed()[:, 0].max() - result.deformed()[:, 0].min()) for result in results)
-    for row, (ax, result) in enumerate(zip(axes[:, -1], results, strict=True)):
-        deformed = draw_inflated(ax, result, ghost=False)
-        middle = (deformed[:, 0].min() + deformed[:, 0].max()) / 2
-        floor = deformed[:, 1].min()
-        ax.plot([middle - width / 2, middle + width / 2], [floor + target] * 2, "--", color=COLOURS.target, linewidth=1.3)
-        ax.set(xlim=(middle - width / 2, middle + width / 2), ylim=(-0.08, tallest))
-        ax.set_xlabel(f"$h$ = {heights[row]:.3f}")
-        for column, image in enumerate(states[row]):
-            picture_axes(axes[row, 1 + column]).imshow(image, vmin=0, vmax=1)
+    width = 1.15 * max((float(np.ptp(result.deformed()[:, 0])) for result in results), default=1.0)
+    for row, result in enumerate(results):
+        for ax, image in zip(axes[row, 1:-2], states[row], strict=True):
+            ax.imshow(image, vmin=0, vmax=1)
         draw_label(axes[row, -2], labels[row])
-        _draw_target(axes[row, 0], target, tallest)
+        _draw_inflated(axes[row, -1], result, target, width, tallest)
+        axes[row, -1].set_xlabel(f"$h$ = {heights[row]:.3f}")
+    for ax in axes[:, 0]:
+        _draw_target(ax, target, tallest)
     axes[0, 0].set_title("target")
     for column, step in enumerate(steps):
         axes[0, 1 + column].set_title(f"denoising\nstep {step}" if column == 0 else f"\nstep {step}")
@@ -56,9 +55,17 @@ def plot_glance(target, states, steps, labels, results, heights):
     return fig
 
 
+def _draw_inflated(ax, result, target, width, tallest):
+    """The inflated structure with its target as a dashed line."""
+    deformed = draw_inflated(ax, result, ghost=False)
+    middle = (deformed[:, 0].min() + deformed[:, 0].max()) / 2
+    left, right = middle - width / 2, middle + width / 2
+    ax.plot([left, right], [deformed[:, 1].min() + target] * 2, "--", color=COLOURS.target, linewidth=1.3)
+    ax.set(xlim=(left, right), ylim=(-0.08, tallest))
+
+
 def _draw_target(ax, target, tallest):
     """The wanted height as a measure over the ground."""
-    picture_axes(ax)
     ax.annotate("", (0, 0), (0, target), arrowprops={"arrowstyle": "<|-|>", "color": COLOURS.target, "linewidth": 1.4,
                                                      "shrinkA": 0, "shrinkB": 0})  # fmt: skip
     ax.plot([-0.2, 0.2], [target] * 2, "--", color=COLOURS.target, linewidth=1.3)
