@@ -1,8 +1,8 @@
 """The frame of the book, as a Sphinx extension: every page says which run it comes from.
 
-A page that was computed carries a badge below its title, with the profile and the data that its executed notebook names;
-every page a footer with profile, commit and date. Besides, it brings what depends on the run into pages that do not: the
-picture on the first page, the explorer's data, and the model cards of the committed weights.
+A page that was computed carries a badge below its title, with the profile and the data that its executed notebook
+names; every page a footer with profile, commit and date. Besides, it brings what depends on the run into pages that do
+not: the picture on the first page, the explorer's data, and the model cards of the committed weights.
 """
 
 import json
@@ -49,7 +49,8 @@ def footer(profile: str) -> str:
     """Profile, commit and date, as HTML."""
     state = code_state()
     commit = state["commit"][:10] + (" with uncommitted changes" if state["uncommitted_changes"] else "")
-    return f"<p>Computed under the profile <strong>{profile}</strong> · commit {commit} · {date.today().isoformat()}</p>"
+    today = date.today().isoformat()
+    return f"<p>Computed under the profile <strong>{profile}</strong> · commit {commit} · {today}</p>"
 
 
 def model_cards() -> list[Path]:

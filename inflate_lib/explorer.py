@@ -1,8 +1,8 @@
 """Data for the interactive pages of the book, which are drawn in the browser by ``book/_static/explorer.js``.
 
 The explorer shows generated structures as outlines, at rest and at each load step: closed polygons along the boundary
-of the wall, in lengths of the unit square, rounded to 10⁻⁴. Pages opened from a disk may not fetch files, so that the data
-are a script that sets one variable.
+of the wall, in lengths of the unit square, rounded to 10⁻⁴. Pages opened from a disk may not fetch files, so that the
+data are a script that sets one variable.
 """
 
 import base64

@@ -3,11 +3,11 @@
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 from inflate_lib import paths
+from inflate_lib.reproduce import run_jupyter_book
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 APPLICATIONS = ("Chromium.app/Contents/MacOS/Chromium", "Google Chrome.app/Contents/MacOS/Google Chrome")  # macOS
@@ -44,15 +44,9 @@ def print_book() -> Path:
     chromium = find_chromium()
     if chromium is None:
         raise RuntimeError("no Chromium or Chrome found; install one (Debian: chromium), or set INFLATE_CHROMIUM to it")
-    build = paths.BOOK / "_build"
-    command = [sys.executable, "-c", "import sys; from jupyter_book.cli.main import main; sys.exit(main())"]
-    options = ["build", str(paths.BOOK), "--builder", "singlehtml", "-n", "-W", "--keep-going"]
-    page = build / "singlehtml" / "index.html"
-    if subprocess.run([*command, *options], check=False).returncode or not page.is_file():
-        raise RuntimeError("Jupyter Book reported warnings or errors (above); each has to go before the book is printed")
-    target = build / "pdf" / "book.pdf"
-    target.parent.mkdir(exist_ok=True)
-    print_page(chromium, page, target)
+    target = paths.BOOK / "_build" / "pdf" / "book.pdf"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    print_page(chromium, run_jupyter_book("singlehtml"), target)
     return target
 
 

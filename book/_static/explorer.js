@@ -26,7 +26,9 @@
   function slider(label, last) {
     const input = make("input", { type: "range", min: 0, max: last, step: 1, value: 0 });
     const output = make("output");
-    return { input, output, row: make("label", {}, make("span", {}, label), input, output) };
+    const row = make("div", { class: "slider-row" }, make("label", {}, make("span", {}, label), input), output);
+    const say = (text) => { output.textContent = text; input.setAttribute("aria-valuetext", text); };
+    return { input, row, say };
   }
 
   const three = (numbers) => numbers.map((value) => value.toFixed(3)).join(", ");
@@ -95,7 +97,7 @@
         air.setAttribute("d", path(polygons.slice(structure.outer.length)));
       }
       load.input.value = step;
-      load.output.textContent = step === 0 ? "at rest" : `${step} of ${last}`;
+      load.say(step === 0 ? "at rest" : `${step} of ${last}`);
     }
 
     function select(number) {
@@ -153,7 +155,7 @@
       const entries = data.descriptors[kind];
       if (kind !== "box") {
         const one = slider(NAMES[kind], entries.length - 1);
-        const show = () => { one.output.textContent = three(entries[one.input.value].target); };
+        const show = () => one.say(three(entries[one.input.value].target));
         one.input.addEventListener("input", () => { show(); pick(Number(one.input.value)); });
         one.input.value = chosen = Math.floor(entries.length / 2);
         show();
@@ -171,8 +173,8 @@
       function move(i, follow = true) {
         rows.input.value = Math.floor(i / n);
         columns.input.value = i % n;
-        rows.output.textContent = h[i].toFixed(3);
-        columns.output.textContent = w[i].toFixed(3);
+        rows.say(h[i].toFixed(3));
+        columns.say(w[i].toFixed(3));
         hand.setAttribute("cx", place(i)[0]);
         hand.setAttribute("cy", place(i)[1]);
         if (follow && i !== chosen) pick(i);
@@ -226,7 +228,7 @@
         image.data[4 * k + 3] = 255;
       }
       context.putImageData(image, 0, 0);
-      step.output.textContent = `t = ${times[i]}`;
+      step.say(`t = ${times[i]}`);
       const signal = Math.sqrt(left[i]).toFixed(3), noise = Math.sqrt(1 - left[i]).toFixed(3);
       words.textContent = `${signal} times the image, ${noise} times the noise`;
       canvas.setAttribute("aria-label", `The image after ${times[i]} noising steps: ${words.textContent}`);

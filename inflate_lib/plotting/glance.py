@@ -1,5 +1,7 @@
 """The picture on the first page: from a target to inflated structures, out of real results."""
 
+from itertools import pairwise
+
 import numpy as np
 from matplotlib.patches import FancyArrowPatch
 
@@ -50,7 +52,7 @@ def plot_glance(target, states, steps, labels, results, heights):
     axes[0, -1].set_title("inflated")
     fig.canvas.draw()  # places the axes, so that arrows can be drawn between them
     for row in axes:
-        for left, right in zip(row, row[1:], strict=False):
+        for left, right in pairwise(row):
             _arrow(fig, left.get_position(), right.get_position())
     return fig
 
