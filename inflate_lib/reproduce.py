@@ -150,7 +150,7 @@ def build_book(profile_name: str, console: Console | None = None) -> Path:
 
 
 def run_jupyter_book(builder: str) -> Path:
-    """Run one of Jupyter Book's builders, with warnings as errors; the first page, ``book/_build/<builder>/index.html``."""
+    """Run one of Jupyter Book's builders, warnings as errors; its first page, ``book/_build/<builder>/index.html``."""
     command = [sys.executable, "-c", "import sys; from jupyter_book.cli.main import main; sys.exit(main())"]
     options = ["--builder", builder, "-n", "-W", "--keep-going"]
     done = subprocess.run([*command, "build", str(paths.BOOK), *options], check=False)

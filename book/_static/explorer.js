@@ -40,7 +40,7 @@
     const last = data.states - 1;
     const kinds = Object.keys(data.descriptors);
     const quiet = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-    let kind = kinds[0], chosen = 0, step = last, timer = null, shown = [];
+    let kind = kinds[0], chosen = 0, step = last, timer = null, shown = [], frame = null;
 
     const radios = kinds.map((name) => make("input", { type: "radio", name: "explorer-descriptor", value: name }));
     const choice = make("fieldset", { class: "explorer-choice" }, make("legend", {}, "Ask for"),
@@ -70,6 +70,21 @@
     function extent(structure, state) {
       const all = loops(structure, state).flat(), x = all.map((p) => p[0]), y = all.map((p) => p[1]);
       return { left: Math.min(...x), right: Math.max(...x), bottom: Math.min(...y), top: Math.max(...y) };
+    }
+
+    /* One scale for all targets of a descriptor, so that a larger target looks larger. */
+    function commonFrame(name) {
+      const margin = 0.1, frame = { width: 0, top: 0, bottom: 0 };
+      for (const entry of data.descriptors[name]) {
+        for (const structure of entry.structures) {
+          for (const box of [extent(structure, 0), extent(structure, last)]) {
+            frame.width = Math.max(frame.width, box.right - box.left + 2 * margin);
+            frame.top = Math.max(frame.top, box.top + margin);
+            frame.bottom = Math.min(frame.bottom, box.bottom - margin / 2);
+          }
+        }
+      }
+      return frame;
     }
 
     /* What was asked for, as lines around the inflated shape; an area has no place in the picture. */
@@ -104,15 +119,13 @@
       chosen = number;
       const entry = data.descriptors[kind][number], symbols = SYMBOLS[kind];
       shown = entry.structures.map((structure, i) => {
-        const box = extent(structure, last), rest = extent(structure, 0), margin = 0.12;
-        const left = Math.min(box.left, rest.left) - margin, right = Math.max(box.right, rest.right) + margin;
-        const top = Math.max(box.top, rest.top, box.bottom + (kind === "height" || kind === "box" ? entry.target[0] : 0)) + margin;
-        const bottom = Math.min(0, box.bottom) - 0.05;
+        const box = extent(structure, last);
+        const left = (box.left + box.right - frame.width) / 2, right = left + frame.width;
         const reached = `${symbols.join(", ")} = ${three(structure.achieved)}`;
         const error = `${(100 * structure.error).toFixed(1)} % off`;
         const wall = make("path", { class: "explorer-wall", "fill-rule": "evenodd" });
         const air = make("path", { class: "explorer-air" });
-        const picture = make("svg", { viewBox: `${left} ${-top} ${right - left} ${top - bottom}`, role: "img" },
+        const picture = make("svg", { viewBox: `${left} ${-frame.top} ${frame.width} ${frame.top - frame.bottom}`, role: "img" },
           make("title", {}, `Structure ${i + 1}: ${reached}, ${error}`), air, wall,
           make("line", { x1: left, y1: 0, x2: right, y2: 0, class: "explorer-ground" }), ...wanted(box, entry.target));
         const caption = make("figcaption", {}, reached, make("br"), error);
@@ -199,6 +212,7 @@
     function change(name) {
       stop();
       kind = name;
+      frame = commonFrame(name);
       radios[kinds.indexOf(name)].checked = true;
       step = last;
       targets();
