@@ -16,7 +16,7 @@ from inflate_lib import paths
 from inflate_lib.profiles import ProfileError, load_profile
 from inflate_lib.publishing import SOURCES, code_state
 
-HERO = "glance"  # published by notebooks/17_explorer.md
+HERO = "glance"  # published by notebooks/19_explorer.md
 EXPLORER = "explorer_data"  # likewise
 HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
 MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights

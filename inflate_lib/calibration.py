@@ -112,7 +112,7 @@ def answers(model, descriptor, data, sampling=None, seed=0, n=N_ASKED, n_jobs=-1
     targets, achieved : (m, N) float
         What was asked for and what was achieved, of the m ≤ n structures that are valid.
     """
-    from inflate_lib.experiments import run_experiment
+    from inflate_lib.generation import run_experiment
 
     seen = data["converged"].values & ~datasets.held_out(data.sizes["structure"])
     known = descriptor_matrix(data.isel(structure=np.flatnonzero(seen)), descriptor)

@@ -13,7 +13,7 @@ from IPython.display import HTML
 
 from inflate_lib.contact import boundary_edges
 from inflate_lib.descriptors import descriptor_matrix
-from inflate_lib.experiments import errors
+from inflate_lib.evaluation import errors
 from inflate_lib.inflation import inflate
 
 SCALE = 10_000  # whole numbers per length of the unit square, within 16 bits
@@ -153,7 +153,7 @@ def explorer_script(experiments, n_shown, about):
     Parameters
     ----------
     experiments : dict
-        Descriptor → experiment of :func:`inflate_lib.experiments.run_experiment`, whose targets are the grid.
+        Descriptor → experiment of :func:`inflate_lib.generation.run_experiment`, whose targets are the grid.
     n_shown : int
         Structures kept for each target, see :func:`pick_diverse`.
     about : dict

@@ -220,7 +220,7 @@ def set_slider(slider, value):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_explorer_shows_the_structures_of_its_target(browser, data, width):
     with Reader(browser, width, reduced_motion="reduce") as reader:
-        page = reader.open("notebooks/17_explorer.html")
+        page = reader.open("notebooks/19_explorer.html")
         for kind, label in (("height", "Height"), ("width", "Width"), ("area", "Hull area")):
             page.get_by_role("radio", name=label, exact=True).check()
             for number in (len(data["descriptors"][kind]) - 1, 1):
@@ -238,7 +238,7 @@ def test_the_explorer_shows_the_structures_of_its_target(browser, data, width):
 
 def test_the_explorer_inflates_and_deflates(browser, data):
     with Reader(browser, reduced_motion="reduce") as reader:
-        page = reader.open("notebooks/17_explorer.html")
+        page = reader.open("notebooks/19_explorer.html")
         entries = data["descriptors"]["height"]
         structure = entries[len(entries) // 2]["structures"][0]
         for state in (0, 4, data["states"] - 1):
@@ -255,7 +255,7 @@ def test_a_target_in_the_plane_is_dragged_and_stepped(browser, data):
     entries = data["descriptors"]["box"]
     n = round(len(entries) ** 0.5)
     with Reader(browser, reduced_motion="reduce") as reader:
-        page = reader.open("notebooks/17_explorer.html")
+        page = reader.open("notebooks/19_explorer.html")
         page.get_by_role("radio", name="Height and width").check()
         plane = page.locator(".explorer-plane")
         plane.scroll_into_view_if_needed()
@@ -297,7 +297,7 @@ def test_the_forward_slider_moves_from_image_to_noise(desktop):
 
 def test_without_scripts_there_is_still_a_picture(browser):
     with Reader(browser, java_script_enabled=False) as reader:
-        reader.page.goto((HTML / "notebooks" / "17_explorer.html").as_uri())
+        reader.page.goto((HTML / "notebooks" / "19_explorer.html").as_uri())
         assert "runs no scripts" in reader.page.locator("noscript").first.inner_text()
         assert reader.page.locator("#fig-explorer-sheet img").is_visible()
         assert not reader.page.locator(".design-explorer").is_visible()
