@@ -42,6 +42,8 @@ GOLDEN = {
     },
     "14_tools": {"drawing_height": (1.1598597797, 1e-8), "softer_percent": (3.4038248626, 1e-6)},
     "15_speed": {"factorisations_ten": (149, 0.02), "factorisations_one": (53, 0.04)},
+    "19_explorer": {"n_targets": (13, 0)},
+    "20_extending": {"n_learned": (20, 0)},
 }
 
 
