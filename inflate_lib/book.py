@@ -6,6 +6,7 @@ not: the picture on the first page, the explorer's data, and the model cards of 
 """
 
 import json
+import pydoc
 import re
 from datetime import date
 from pathlib import Path
@@ -94,9 +95,22 @@ def _one_level_down(text: str) -> str:
     return "```".join(pieces)
 
 
+def _resolve_public_name(app, env, node, contnode):
+    """`inflate_lib.inflate` is documented in the module that it is defined in; the same for `inflate_lib.diffusion`."""
+    ours = node.get("refdomain") == "py" and node["reftarget"].startswith("inflate_lib.")
+    found = pydoc.locate(node["reftarget"]) if ours else None
+    module, name = getattr(found, "__module__", None), getattr(found, "__qualname__", None)
+    target = f"{module}.{name}"
+    if not module or not name or target == node["reftarget"]:
+        return None
+    place = node.get("refdoc", env.docname), app.builder, node["reftype"], target, node, contnode
+    return env.get_domain("py").resolve_xref(env, *place)
+
+
 def setup(app):
     """Connect to Sphinx."""
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)
     app.connect("doctree-read", _add_badge)
+    app.connect("missing-reference", _resolve_public_name)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
