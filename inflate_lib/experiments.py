@@ -94,7 +94,7 @@ def trained_model_file(
         A safetensors file for :meth:`inflate_lib.diffusion.TrainedModel.load`; None in all processes but the first. A
         killed training goes on from its last checkpoint.
     """
-    config = TrainingConfig.from_dict({**training, "seed": seed})
+    config = _config(descriptor, training, seed)
     about = _about(descriptor, data, n_augmented)
 
     def make(target, scratch):
@@ -138,7 +138,7 @@ def committed_weights(descriptor, training, data, n_augmented=augmentation.PAPER
     ValueError
         A file there is damaged, or not one of this library.
     """
-    recipe = TrainingConfig.from_dict({**training, "seed": seed}).recipe()
+    recipe = _config(descriptor, training, seed).recipe()
     about, mean, why_not = _about(descriptor, data, n_augmented), _mean(descriptor, data), ""
     for path in sorted(paths.PRETRAINED.glob(f"*/{descriptor}.safetensors")):
         model = TrainedModel.load(path)
@@ -207,17 +207,17 @@ def training_cost(names: Sequence[str], training, data, n_augmented=augmentation
         A row per model: seconds per step (median over the run), images per second, steps and hours of the whole
         training, and how many models train at a time.
     """
-    whole = TrainingConfig.from_dict({**training, "seed": seed})
-    config = replace(whole, steps=steps, epochs=None, log_every=max(1, steps // 10))
 
     def one(name, threads):
+        whole = _config(name, training, seed)
+        config = replace(whole, steps=steps, epochs=None, log_every=max(1, steps // 10))
         images, conditions = training_pairs(data, name, n_augmented, seed)
         model = train(images, conditions, config, progress=f"dry run {name}", threads=threads)
         return model.metadata["seconds_per_step"], whole.training_steps(len(images))
 
     measured = pd.DataFrame(_side_by_side(one, names, training), columns=["seconds per step", "steps"])
     measured.insert(0, "descriptor", list(names))
-    measured["images per second"] = whole.batch_size / measured["seconds per step"]
+    measured["images per second"] = _config(names[0], training, seed).batch_size / measured["seconds per step"]
     measured["hours"] = measured["seconds per step"] * measured["steps"] / 3600
     measured["side by side"] = _jobs(names, training)
     return measured
@@ -233,6 +233,12 @@ def _side_by_side(task, names, training):
 def _jobs(names, training):
     alone = choose_device(training.get("device", "auto")).type == "mps" or ranks.world() > 1
     return 1 if alone else min(len(names), effective_n_jobs(-1))
+
+
+def _config(descriptor, training, seed):
+    """The training configuration of one descriptor's model."""
+    parts = list(descriptors.PARTS.values()) if descriptor == descriptors.JOINT else []
+    return TrainingConfig.from_dict({**training, "seed": seed, "parts": parts})
 
 
 def _held_out(data):
@@ -261,7 +267,9 @@ def _name(path):
     return path.relative_to(paths.ROOT) if path.is_relative_to(paths.ROOT) else path
 
 
-def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mapping | None = None, seed=0, n_jobs=-1):
+def run_experiment(
+    model, descriptor, targets, n_per_target=50, sampling: Mapping | None = None, seed=0, n_jobs=-1, calibration=None
+):
     """Generate structures for each target, inflate and describe them (paper sec. 2.3).
 
     Parameters
@@ -278,6 +286,8 @@ def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mappin
         Of the noise.
     n_jobs : int
         Processes of the simulation.
+    calibration : inflate_lib.calibration.Calibration, optional
+        Turns each target into what the model has to be told to reach it; by default that is the target itself.
 
     Returns
     -------
@@ -292,14 +302,18 @@ def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mappin
     ValueError
         For targets of the wrong shape, or options that the sampler does not have.
     """
-    targets = np.asarray(targets, dtype=float).reshape(-1, descriptors.DESCRIPTORS[check_name(descriptor)])
+    lengths = descriptors.DESCRIPTORS | {descriptors.JOINT: sum(descriptors.PARTS.values())}
+    targets = np.asarray(targets, dtype=float).reshape(-1, lengths[check_name(descriptor)])
     sampling = dict(sampling or {})
     if n_per_target < 1:
         raise ValueError(f"n_per_target must be at least 1, not {n_per_target!r}")
     level = np.repeat(np.arange(len(targets)), n_per_target)
+    told = targets if calibration is None else calibration.told(targets)
+    if model.config.parts:  # one model for all descriptors
+        told = descriptors.joint_conditions(descriptor, told)
 
     def make(target, scratch):
-        images = generate(model, targets[level], seed=seed, **sampling)
+        images = generate(model, told[level], seed=seed, **sampling)
         data = datasets.simulate_dataset(images, n_jobs=n_jobs, folder=scratch)
         data["level"] = ("structure", level, {"long_name": "number of the target"})
         about = {"long_name": f"target {descriptor}", "units": "1"}
@@ -315,6 +329,7 @@ def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mappin
         "model": digest(*weights, model.condition_min, model.condition_max),
         "objective": model.config.objective,
         "targets": digest(targets),
+        "told": digest(told),
         "n_per_target": n_per_target,
         "sampling": sampling,
         "seed": seed,

@@ -198,15 +198,20 @@ class _Run:
         t = torch.randint(config.T, (config.timestep_draws, n), generator=generator).amax(0)
         dropped = torch.rand(n, generator=generator) < config.condition_dropout
         noise = torch.randn((n, 1, *self.images.shape[1:]), generator=generator)
+        y = self.conditions[rows.to(self.device)]
+        if config.parts:  # each part is withheld every second time, so that any combination can be asked for
+            withheld = torch.rand((n, len(config.parts)), generator=generator) < 0.5
+            withheld = withheld.repeat_interleave(torch.tensor(config.parts), dim=1)
+            y = y.masked_fill(withheld.to(self.device), math.nan)
         mine = slice(ranks.rank(), None, ranks.world())
-        rows, t, dropped, noise = rows[mine], t[mine], dropped[mine], noise[mine]
+        rows, y, t, dropped, noise = rows[mine], y[mine], t[mine], dropped[mine], noise[mine]
 
         for group in self.optimiser.param_groups:
             group["lr"] = self.learning_rate()
         self.optimiser.zero_grad(set_to_none=False)  # a process without a row in this batch has a gradient, too
         losses = torch.zeros(3, device=self.device)
         if len(rows):
-            losses = self.losses(self.there(rows), t, self.there(dropped), self.there(noise)) / n
+            losses = self.losses(self.there(rows), y, t, self.there(dropped), self.there(noise)) / n
             losses[0].backward()
             losses = losses.detach()
         ranks.add_up([*(p.grad for p in self.net.parameters()), losses])
@@ -224,13 +229,13 @@ class _Run:
         on_gpu = self.device.type == "cuda"
         return (tensor.pin_memory() if on_gpu else tensor).to(self.device, non_blocking=on_gpu)
 
-    def losses(self, rows: Tensor, t: Tensor, dropped: Tensor, noise: Tensor) -> Tensor:
+    def losses(self, rows: Tensor, y: Tensor, t: Tensor, dropped: Tensor, noise: Tensor) -> Tensor:
         """Hybrid loss, its simple and its vlb part, summed over some rows of a batch."""
         x0 = to_network(self.images[rows])
         x = process.add_noise(self.schedule, x0, t, noise)
         target = process.training_target(self.schedule, x0, t, noise, self.config.objective)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16):
-            prediction = self.predict(x, t.to(self.device), self.conditions[rows], dropped)
+            prediction = self.predict(x, t.to(self.device), y, dropped)
         error = process.squared_error(prediction.float(), target)
         weighted = at(self.weights, t, error) * error, error, at(self.vlb_weights, t, error) * error
         return torch.stack([part.sum() for part in weighted])
