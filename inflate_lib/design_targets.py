@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from inflate_lib import contact
-from inflate_lib.descriptors import AXIS_POINTS, describe, descriptor_matrix
+from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, describe, descriptor_matrix
 
 SCALARS = ("height", "width", "area")
 AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
@@ -64,13 +64,13 @@ class Targets:
         return tuple(name for name in (*SCALARS, "axis") if getattr(self, name) is not None)
 
     def vector(self, name):
-        """(N,) the target of one descriptor, NaN where it is not asked for; "box" is height and width."""
-        if name == "box":
-            return np.concatenate([self.vector("height"), self.vector("width")])
+        """(N,) the target of one descriptor, NaN where it is not asked for; an axis says what the height is."""
+        if name in ("box", JOINT):
+            return np.concatenate([self.vector(part) for part in (PARTS if name == JOINT else ("height", "width"))])
         if name == "height" and self.height is None and self.axis is not None:
             return np.array([axis_height(self.axis)])
         value = getattr(self, name)
-        return np.full(2 * AXIS_POINTS if name == "axis" else 1, np.nan) if value is None else np.ravel(value)
+        return np.full(PARTS[name], np.nan) if value is None else np.ravel(value)
 
     def as_dict(self):
         """Plain numbers for JSON, of what is asked for."""
@@ -132,6 +132,24 @@ def outline_targets(points):
     except ValueError:
         raise ValueError("outline: it is empty; its points lie on one line") from None
     return Targets(shape.height, shape.width, shape.hull_area, shape.medial_axis, points - [0, points[:, 1].min()])
+
+
+def read_targets(height=None, width=None, area=None, axis=None, outline=None, unit=1.0):
+    """Targets from numbers and files; None where not asked for. See :func:`read_axis` and :func:`read_outline`.
+
+    Raises
+    ------
+    ValueError
+        Where a file is no such file, where nothing is asked for, or more than an outline leaves open.
+    """
+    given = {"height": height, "width": width, "area": area}
+    given["axis"] = None if axis is None else read_axis(axis)
+    given["outline"] = None if outline is None else read_outline(outline, unit)
+    try:
+        return as_targets(given)
+    except ValueError as error:
+        where = f"{outline}: " if outline is not None and str(error).startswith("outline") else ""
+        raise ValueError(f"{where}{error}") from None
 
 
 def check_axis(points):

@@ -18,7 +18,7 @@ from inflate_lib import paths
 from inflate_lib.constraints import PIXEL, Constraints, mirrored
 from inflate_lib.contact import first_contact
 from inflate_lib.datasets import TIME_LIMIT, simulated_sevens
-from inflate_lib.descriptors import Descriptors, describe
+from inflate_lib.descriptors import JOINT, Descriptors, describe
 from inflate_lib.design_targets import Targets, as_targets, check_reach, errors
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.diffusion.storage import fingerprint
@@ -33,9 +33,8 @@ SAMPLING = {"sampler": "ddim", "steps": 50, "eta": 1.0, "guidance": 1.0}
 BATCH = 64  # candidates
 SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
 #: Models by what they are conditioned on, the most telling first; "joint" takes any combination, NaN where not asked.
-MODELS = {"joint": (), "axis": ("axis",), "box": ("height", "width"), "area": ("area",)}
+MODELS = {JOINT: (), "axis": ("axis",), "box": ("height", "width"), "area": ("area",)}
 MODELS |= {"width": ("width",), "height": ("height",)}
-JOINT = ("height", "width", "area", "axis")  # order of the joint model's conditions
 WEIGHTS = ("paper", "laptop", "ci")  # folders of data/pretrained, in the order in which they are looked into
 
 
@@ -192,7 +191,7 @@ def design(
     found = Designs([], targets, constraints, tolerance, n, prefer, seed, _about(name, model), sampling)
     started = time.monotonic()
     clock = Counter(generating=0.0, inflating=0.0)
-    wanted = conditions(name, targets)
+    wanted = targets.vector(name)
     aim, pool, seen, longest = np.clip(wanted, model.condition_min, model.condition_max), [], set(), 0.0
     enough = n * SURPLUS * (2 if prefer else 1)
     while True:
@@ -209,7 +208,7 @@ def design(
                 found.rejected[reason] += 1
                 continue
             shape = describe(result)
-            achieved.append(conditions(name, shape))
+            achieved.append(shape.vector(name))
             if (key := _aligned(label).tobytes()) in seen:
                 found.rejected["the same as another"] += 1
                 continue
@@ -261,11 +260,6 @@ def find_model(targets, profile=None):
     given = load_profile(profile or WEIGHTS[-1]).parameters(paths.NOTEBOOKS / "08_training.md")
     data = simulated_sevens(given["source"], given["n_structures"] or None)
     return single, trained_models([single], given["training"], data, given["n_augmented"], given["seed"])[single]
-
-
-def conditions(name, of):
-    """(N,) what a model is conditioned on, from :class:`Targets` (NaN where not asked for) or from Descriptors."""
-    return np.concatenate([of.vector(part) for part in (JOINT if name == "joint" else (name,))])
 
 
 def corrected(aim, wanted, achieved, model):
