@@ -152,22 +152,28 @@ def design(
     Give any of --height, --width, --area, --axis, or an --outline. Targets are in sides of the frame, the rest in mm.
     """
     from inflate_lib.constraints import from_millimetres
-    from inflate_lib.design_files import check_folder, save_designs
+    from inflate_lib.constraints import from_millimetres
+    from inflate_lib.design_files import check_folder, check_sizes, save_designs
     from inflate_lib.design_targets import read_targets
     from inflate_lib.inverse_design import design
 
+    check_sizes(size_mm=size_mm, depth_mm=depth_mm)
     targets = read_targets(height, width, area, axis, outline, size_mm if outline_unit is None else outline_unit)
     constraints = from_millimetres(size_mm, min_void_mm, max_material_mm2, symmetric, keep_out_mm)
     check_folder(out, overwrite)
-    found = design(
-        targets, number, profile=profile, constraints=constraints, tolerance=tolerance, prefer=prefer, seed=seed,
-        seconds=seconds, max_candidates=candidates,
-    )  # fmt: skip
-    print(found.summary())
-    if found.designs:
-        print(found.table().to_string(index=False, float_format="{:.4g}".format))
-    start = time.monotonic()
-    save_designs(found, out, size_mm, depth_mm, overwrite)
+    try:
+        found = design(
+            targets, number, profile=profile, constraints=constraints, tolerance=tolerance, prefer=prefer, seed=seed,
+            seconds=seconds, max_candidates=candidates,
+        )  # fmt: skip
+        print(found.summary())
+        if found.designs:
+            print(found.table().to_string(index=False, float_format="{:.4g}".format))
+        start = time.monotonic()
+        save_designs(found, out, size_mm, depth_mm, overwrite)
+    except KeyboardInterrupt:
+        print(f"inflate: interrupted; nothing was written to {out}", file=sys.stderr)
+        raise typer.Exit(130) from None
     print(f"written in {time.monotonic() - start:.1f} s: {out / 'contact_sheet.png'}, and a folder for each design")
     if sum(one.within for one in found.designs) < number:
         raise typer.Exit(2)

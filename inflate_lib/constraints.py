@@ -101,7 +101,7 @@ class Constraints:
 def from_millimetres(size_mm, min_void=0.0, max_material=None, symmetric=False, keep_out=None):
     """Constraints of a frame with sides of `size_mm`, from millimetres and square millimetres."""
     if not 0 < size_mm < np.inf:
-        raise ValueError(f"the size must be a positive number of millimetres, not {size_mm!r}")
+        raise ValueError(f"the size of the frame must be a positive number of millimetres, not {size_mm!r}")
     area = np.inf if max_material is None else max_material / size_mm**2
     region = None if keep_out is None else tuple(value / size_mm for value in keep_out)
     return Constraints(min_void / size_mm, area, symmetric, region)

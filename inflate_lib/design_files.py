@@ -60,9 +60,7 @@ def save_designs(designs, folder, size_mm=SIZE_MM, depth_mm=DEPTH_MM, overwrite=
 
     from inflate_lib.plotting.designs import plot_designs
 
-    for name, value in (("size_mm", size_mm), ("depth_mm", depth_mm)):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
-            raise ValueError(f"{name} must be a positive number of millimetres, not {value!r}")
+    check_sizes(size_mm=size_mm, depth_mm=depth_mm)
     if not designs.designs:
         raise ValueError("there is no design to write: no candidate was a structure")
     folder = check_folder(folder, overwrite)
@@ -78,6 +76,13 @@ def save_designs(designs, folder, size_mm=SIZE_MM, depth_mm=DEPTH_MM, overwrite=
         designs.table().to_csv(draft / "designs.csv", index=False, float_format="%.8g")
         _write_json(draft / "designs.json", search_record(designs))
     return [folder / name for name in ("contact_sheet.png", "designs.csv", *names)]
+
+
+def check_sizes(**sizes):
+    """Raise a ValueError where one of the sizes, by name, is no length."""
+    for name, value in sizes.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
+            raise ValueError(f"{name} must be a positive number of millimetres, not {value!r}")
 
 
 def check_folder(folder, overwrite=False):
