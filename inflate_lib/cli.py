@@ -152,7 +152,6 @@ def design(
     Give any of --height, --width, --area, --axis, or an --outline. Targets are in sides of the frame, the rest in mm.
     """
     from inflate_lib.constraints import from_millimetres
-    from inflate_lib.constraints import from_millimetres
     from inflate_lib.design_files import check_folder, check_sizes, save_designs
     from inflate_lib.design_targets import read_targets
     from inflate_lib.inverse_design import design

@@ -77,9 +77,10 @@ class Design:
 
 @dataclass
 class Designs:
-    """What :func:`design` found: the chosen `designs` and an account of the search."""
+    """What :func:`design` found, and an account of the search."""
 
-    designs: list
+    designs: list  # the chosen ones
+    pool: list  # every candidate within the tolerance, the best first; :func:`choose` makes another choice from them
     targets: Targets
     constraints: Constraints
     tolerance: float
@@ -89,10 +90,14 @@ class Designs:
     model: dict  # descriptor, digest of the weights, profile, source
     sampling: dict
     tried: int = 0
-    within: int = 0  # candidates within the tolerance, of which `designs` are a choice
     rejected: Counter = field(default_factory=Counter)  # reason → candidates
     seconds: dict = field(default_factory=dict)  # generating, inflating, all
     stopped: str = ""
+
+    @property
+    def within(self):
+        """Number of candidates within the tolerance."""
+        return len(self.pool)
 
     def table(self):
         """A row per design: errors in percent, descriptors, peaks."""
@@ -188,57 +193,38 @@ def design(
     if data is None:
         data = simulated_sevens(model.metadata.get("source", "auto"))
     check_reach(targets, data)
-    found = Designs([], targets, constraints, tolerance, n, prefer, seed, _about(name, model), sampling)
-    started = time.monotonic()
-    clock = Counter(generating=0.0, inflating=0.0)
-    wanted = targets.vector(name)
-    aim, pool, seen, longest = np.clip(wanted, model.condition_min, model.condition_max), [], set(), 0.0
+    found = Designs([], [], targets, constraints, tolerance, n, prefer, seed, _about(name, model), sampling)
+    wanted, best, seen, clock = targets.vector(name), [], set(), Counter()
+    aim = np.clip(wanted, model.condition_min, model.condition_max)
     enough = n * SURPLUS * (2 if prefer else 1)
-    while True:
+    started, longest = time.monotonic(), 0.0
+    while not found.stopped:
         begun = time.monotonic()
-        batch_seed = int(np.random.SeedSequence([seed, found.tried]).generate_state(1)[0])
         size = min(BATCH, max_candidates - found.tried)
-        images = generate(model, np.tile(aim, (size, 1)), seed=batch_seed, **sampling)
-        clock["generating"] += time.monotonic() - begun
-        begun_inflating = time.monotonic()
-        attempts = _attempts(images, constraints, n_jobs)
-        achieved = []
-        for row, kind, reason, label, result in attempts:
-            if reason:
-                found.rejected[reason] += 1
-                continue
-            shape = describe(result)
-            achieved.append(shape.vector(name))
-            if (key := _aligned(label).tobytes()) in seen:
-                found.rejected["the same as another"] += 1
-                continue
-            seen.add(key)
-            miss = errors(targets, shape)
-            within = max(miss.values()) <= tolerance
-            origin = {"seed": batch_seed, "row": row, "size": size, "conditions": aim.tolist(), "drawing": kind}
-            number = found.tried + row
-            pool.append(Design(label, result, shape, miss, within, *peaks(result), number, origin))
-        found.tried += size
-        clock["inflating"] += time.monotonic() - begun_inflating
-        pool.sort(key=lambda one: (one.error, one.candidate))
-        found.within = sum(one.within for one in pool)
-        del pool[found.within + n :]  # of the misses only the nearest
-        if achieved:
-            aim = corrected(aim, wanted, achieved, model)
+        batch = {"seed": int(np.random.SeedSequence([seed, found.tried]).generate_state(1)[0])}
+        batch |= {"first": found.tried, "size": size, "conditions": aim.tolist()}
+        images = generate(model, np.tile(aim, (size, 1)), seed=batch["seed"], **sampling)
+        drawn = time.monotonic()
+        new = _verified(images, batch, found, seen, n_jobs)
         now = time.monotonic()
+        clock += Counter(generating=drawn - begun, inflating=now - drawn)
         longest = max(longest, now - begun)
+        found.tried += size
+        if new:
+            aim = corrected(aim, wanted, [one.shape.vector(name) for one in new], model)
+        best = sorted([*best, *new], key=lambda one: (one.error, one.candidate))
+        found.pool = [one for one in best if one.within]
+        best = best[: found.within + n]  # of the misses only the nearest
         if say:
-            best = f", the best misses by {100 * pool[0].error:.2f} %" if pool else ""
-            say(f"{now - started:.0f} s: {found.within} within {tolerance:.2g} among {found.tried} candidates{best}")
+            nearest = f", the best misses by {100 * best[0].error:.2f} %" if best else ""
+            say(f"{now - started:.0f} s: {found.within} within {tolerance:.2g} among {found.tried} candidates{nearest}")
         if found.within >= enough:
             found.stopped = "enough to choose from"
         elif found.tried >= max_candidates:
             found.stopped = "which is as many as were allowed"
         elif now - started + longest > seconds:
             found.stopped = f"then the time of {seconds:g} s was up"
-        if found.stopped:
-            break
-    found.designs = choose(pool, n, prefer)
+    found.designs = choose(best, n, prefer)
     found.seconds = {**clock, "all": time.monotonic() - started}
     return found
 
@@ -306,19 +292,28 @@ def diverse(labels, n):
     return chosen
 
 
-def _attempts(images, constraints, n_jobs):
-    """(row, drawing, reason, label, result) of every structure that the images stand for; the reason is why not."""
+def _verified(images, batch, found, seen, n_jobs):
+    """The designs among the images of a batch; what is none is counted in ``found.rejected``."""
     drawings = [(row, "as drawn", image) for row, image in enumerate(images)]
-    if constraints.symmetric:
-        drawings = [
-            (row, kind, half)
-            for row, _, image in drawings
-            for kind, half in zip(("left half", "right half", "both halves"), mirrored(image), strict=False)
-        ]
-    done = Parallel(n_jobs=n_jobs, backend="threading")(
-        delayed(attempt)(image, constraints) for _, _, image in drawings
+    if found.constraints.symmetric:
+        kinds = ("left half", "right half", "both halves")
+        drawings = [(row, *half) for row, _, image in drawings for half in zip(kinds, mirrored(image), strict=False)]
+    attempts = Parallel(n_jobs=n_jobs, backend="threading")(
+        delayed(attempt)(image, found.constraints) for _, _, image in drawings
     )
-    return [(row, kind, *rest) for (row, kind, _), rest in zip(drawings, done, strict=True)]
+    designs = []
+    for (row, kind, _), (reason, label, result) in zip(drawings, attempts, strict=True):
+        key = None if reason else _aligned(label).tobytes()
+        if reason or key in seen:
+            found.rejected[reason or "the same as another"] += 1
+            continue
+        seen.add(key)
+        shape = describe(result)
+        miss = errors(found.targets, shape)
+        within = max(miss.values()) <= found.tolerance
+        origin = batch | {"row": row, "drawing": kind}
+        designs.append(Design(label, result, shape, miss, within, *peaks(result), batch["first"] + row, origin))
+    return designs
 
 
 def attempt(image, constraints):
@@ -333,7 +328,6 @@ def attempt(image, constraints):
     """
     try:
         label = label_image(image)
-        result = None
         anywhere = Constraints(**{**constraints.as_dict(), "keep_out": None})
         if broken := anywhere.broken_by(label):
             return f"break {broken}", label, None

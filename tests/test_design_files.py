@@ -61,7 +61,7 @@ def designs():
         found.append(Design(label, result, shape, miss, number == 0, *export.peaks(result), number, origin))
     model = {"descriptor": "box", "weights": "0123", "source": "digits"}
     constraints = Constraints(min_void=1 / 28)
-    return Designs(found, targets, constraints, 0.01, 2, None, 7, model, {"sampler": "ddim"}, tried=9, within=1)
+    return Designs(found, found[:1], targets, constraints, 0.01, 2, None, 7, model, {"sampler": "ddim"}, tried=9)
 
 
 @pytest.mark.parametrize("label", LABELS)
@@ -110,7 +110,7 @@ def test_the_outline_is_closed_and_in_millimetres(label, tmp_path):
     assert attributes["width"] == attributes["height"] == "56mm" and attributes["viewBox"] == "0 0 56 56"
     borders = path.continuous_subpaths()
     assert len(borders) == 2 and all(border.isclosed() for border in borders)
-    cavity, outer = sorted((abs(border.area()) for border in borders))
+    cavity, outer = sorted(abs(border.area()) for border in borders)
     notches = 2 * design_files.NOTCH**2 * pinch(label)
     assert cavity == pytest.approx(4 * ((label == VOID).sum() + notches), rel=1e-4)
     assert outer == pytest.approx(4 * (label > 0).sum(), rel=1e-4)

@@ -13,7 +13,7 @@ from inflate_lib.constraints import PIXEL, Constraints, is_symmetric
 from inflate_lib.datasets import simulate_dataset
 from inflate_lib.design_targets import Targets, errors
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
-from inflate_lib.inverse_design import MODELS, choose, corrected, diverse, find_model
+from inflate_lib.inverse_design import MODELS, corrected, diverse, find_model
 from inflate_lib.plotting.designs import plot_designs
 from inflate_lib.sources import load_sevens
 from inflate_lib.structures import FRAME, SOLID, VOID
@@ -201,7 +201,7 @@ def _lefts(one):
 
 
 def test_a_symmetric_structure_has_an_upright_axis(search):
-    with pytest.raises(ValueError, match="leans by 0.*leave out --symmetric"):
+    with pytest.raises(ValueError, match=r"leans by 0.*leave out --symmetric"):
         search({"axis": [(0, 0), (0.3, 0.9)]}, constraints=Constraints(symmetric=True))
 
 
