@@ -17,6 +17,7 @@ from inflate_lib.descriptors import descriptor_matrix
 
 VARIANCE = 0.99  # share of the descriptors' variance in the directions in which a model is calibrated
 N_ASKED = 300  # structures drawn to fit g
+LEAST_SLOPE = 0.2  # below it, g is too flat to be inverted: what the model is told would lie far outside the data
 
 
 @dataclass(frozen=True)
@@ -36,29 +37,39 @@ class Calibration:
     def fit(cls, targets, achieved):
         """Fit g to what was asked for and what was achieved, (n, N) each, all finite.
 
+        Directions of little variance, in which a model may hardly follow at all, are left out one by one until g can be
+        inverted safely.
+
         Raises
         ------
         ValueError
-            Fewer structures than the fit has unknowns, or a g that cannot be inverted: the model does not listen.
+            Fewer structures than the fit has unknowns, or no direction is left: the model does not listen.
         """
         targets, achieved = np.asarray(targets, dtype=float), np.asarray(achieved, dtype=float)
         mean = targets.mean(axis=0)
         _, spread, directions = np.linalg.svd(targets - mean, full_matrices=False)
         share = np.cumsum(spread**2) / max(np.sum(spread**2), np.finfo(float).tiny)
-        few = targets.shape[1] > 2
-        directions = directions[: np.searchsorted(share, VARIANCE) + 1 if few else len(directions)]
-        asked, got = (targets - mean) @ directions.T, (achieved - mean) @ directions.T
-        if len(asked) <= len(directions) + 1:
-            raise ValueError(f"a calibration in {len(directions)} directions needs more than {len(asked)} structures")
-        coefficients = np.linalg.lstsq(np.c_[np.ones(len(asked)), asked], got, rcond=None)[0]
-        offset, slope = coefficients[0], coefficients[1:].T
-        weakest = np.linalg.svd(slope, compute_uv=False).min()
-        if weakest < 0.2:
-            raise ValueError(
-                f"the model hardly follows its descriptor (slope {weakest:.2f} of achieved on wanted): "
-                "train it longer, or do without calibration"
-            )
-        return cls(mean, directions, offset, slope)
+        most = targets.shape[1] if targets.shape[1] <= 2 else int(np.searchsorted(share, VARIANCE)) + 1
+        if len(targets) <= most + 1:
+            raise ValueError(f"a calibration in {most} directions needs more than {len(targets)} structures")
+        for k in range(most, 0, -1):
+            chosen = directions[:k]
+            asked, got = (targets - mean) @ chosen.T, (achieved - mean) @ chosen.T
+            coefficients = np.linalg.lstsq(np.c_[np.ones(len(asked)), asked], got, rcond=None)[0]
+            offset, slope = coefficients[0], coefficients[1:].T
+            weakest = np.linalg.svd(slope, compute_uv=False).min()
+            if weakest >= LEAST_SLOPE:
+                return cls(mean, chosen, offset, slope)
+        raise ValueError(
+            f"the model hardly follows its descriptor (slope {weakest:.2f} of achieved on wanted): train it longer, "
+            "or do without calibration"
+        )
+
+    def answer(self, told):
+        """g: what the model draws on average when it is told ``told`` (n, N)."""
+        told = np.asarray(told, dtype=float)
+        z = (told - self.mean) @ self.directions.T
+        return told + (z @ self.slope.T + self.offset - z) @ self.directions
 
     def told(self, targets):
         """What to tell the model, (n, N), to get ``targets`` (n, N)."""
@@ -69,7 +80,19 @@ class Calibration:
 
 
 def calibrate(model, descriptor, data, sampling=None, seed=0, n=N_ASKED, n_jobs=-1):
-    """Measure how a model answers, and fit its :class:`Calibration`.
+    """Measure how a model answers, and fit its :class:`Calibration`. Parameters are those of :func:`answers`."""
+    return Calibration.fit(*answers(model, descriptor, data, sampling, seed, n, n_jobs))
+
+
+def calibrate_all(models, data, sampling=None, seed=0, n=N_ASKED, n_jobs=-1):
+    """Calibrations of several models, name → :class:`Calibration`; None for each where n is 0."""
+    return {
+        name: calibrate(model, name, data, sampling, seed, n, n_jobs) if n else None for name, model in models.items()
+    }
+
+
+def answers(model, descriptor, data, sampling=None, seed=0, n=N_ASKED, n_jobs=-1):
+    """What a model answers to the descriptors of structures that it was trained on.
 
     Parameters
     ----------
@@ -86,9 +109,10 @@ def calibrate(model, descriptor, data, sampling=None, seed=0, n=N_ASKED, n_jobs=
 
     Returns
     -------
-    Calibration
+    targets, achieved : (m, N) float
+        What was asked for and what was achieved, of the m ≤ n structures that are valid.
     """
-    from inflate_lib.experiments import run_experiment
+    from inflate_lib.generation import run_experiment
 
     seen = data["converged"].values & ~datasets.held_out(data.sizes["structure"])
     known = descriptor_matrix(data.isel(structure=np.flatnonzero(seen)), descriptor)
@@ -96,4 +120,4 @@ def calibrate(model, descriptor, data, sampling=None, seed=0, n=N_ASKED, n_jobs=
     # Another seed than the experiment's: its noise must not be the noise that was calibrated on.
     answer = run_experiment(model, descriptor, targets, 1, sampling, seed + 1_000_003, n_jobs)
     valid = answer["valid"].values
-    return Calibration.fit(targets[valid], descriptor_matrix(answer, descriptor)[valid])
+    return targets[valid], descriptor_matrix(answer, descriptor)[valid]

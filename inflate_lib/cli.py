@@ -233,6 +233,23 @@ def _export(file: Path, name: str, profile: str, out: Path | None) -> str:
 
 
 @app.command()
+def card(
+    profile: ProfileName = "laptop",
+    folder: Annotated[Path | None, typer.Option(help="Folder of the weights; data/pretrained/<profile>.")] = None,
+    targets: Annotated[int, typer.Option(min=2, help="Held-out targets for each model.")] = 200,
+) -> None:
+    """Measure the weights of a profile on held-out targets, and write the model card beside them."""
+    from inflate_lib import paths
+    from inflate_lib.cards import write_card
+    from inflate_lib.datasets import simulated_sevens
+    from inflate_lib.profiles import load_profile
+
+    given = load_profile(profile).parameters(paths.NOTEBOOKS / "10_scalar_targets.md")
+    data = simulated_sevens(given["source"], given["n_structures"] or None)
+    print(write_card(folder or paths.PRETRAINED / profile, data, given["sampling"], given["n_calibration"], targets))
+
+
+@app.command()
 def info() -> None:
     """Print versions, folders and the device that training would use."""
     from inflate_lib import paths

@@ -61,6 +61,11 @@ def check_name(name):
     return name
 
 
+def length(name):
+    """Number of components of a descriptor."""
+    return (DESCRIPTORS | {JOINT: sum(PARTS.values())})[check_name(name)]
+
+
 def joint_conditions(name, values):
     """Descriptors (n, N) as a model of the descriptor "joint" is told them, (n, 63): NaN for what is not asked for."""
     values = np.asarray(values, dtype=float)

@@ -139,6 +139,7 @@ def generate(
     batch_size: int = 256,
     trajectory: list | None = None,
     device: str = "auto",
+    start: int = 0,
 ) -> np.ndarray:
     """Generate one structure for each target descriptor.
 
@@ -165,6 +166,8 @@ def generate(
         not clipped.
     device : str
         As in ``TrainingConfig``.
+    start : int
+        Number of the first structure: structures can be made in several calls, and come out the same.
 
     Returns
     -------
@@ -193,7 +196,7 @@ def generate(
             return guided(net, x, t.to(place), y, guidance)
 
         with torch.inference_mode():
-            noise = _noise(seed, rows, size, place)
+            noise = _noise(seed, range(start + rows.start, start + rows.stop), size, place)
             states.append([])
             for x in denoise(predict, model.schedule, noise, model.config.objective, sampler, steps, eta):
                 if trajectory is None:

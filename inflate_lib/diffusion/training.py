@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -109,12 +110,44 @@ def simple_loss(model: TrainedModel, images: np.ndarray, conditions: np.ndarray,
         generator = random_generator(seed, 4, first)
         t = torch.randint(model.config.T, (len(x0),), generator=generator)
         noise = torch.randn(x0.shape, generator=generator)
-        x = process.add_noise(model.schedule, x0, t, noise)
-        with torch.inference_mode():
-            prediction = model.net(x, t, y)
-        target = process.training_target(model.schedule, x0, t, noise, model.config.objective)
-        errors.append(process.squared_error(prediction, target))
+        errors.append(_squared_errors(model, x0, y, t, noise))
     return torch.cat(errors).mean().item()
+
+
+def losses_in_time(
+    model: TrainedModel, images: np.ndarray, conditions: np.ndarray | None, times: Sequence[int], seed: int = 0
+) -> np.ndarray:
+    """Mean squared error of a model's answer at some zero-based time steps.
+
+    Parameters
+    ----------
+    images : array, shape (n, h, w)
+    conditions : array, shape (n, N), or None
+        None withholds the descriptor. The noise does not depend on them: what differs between two calls is theirs.
+    times : sequence of int
+
+    Returns
+    -------
+    array, shape (len(times),)
+    """
+    images, checked = _checked(images, np.zeros(len(images)) if conditions is None else conditions, model.config)
+    y = None if conditions is None else torch.from_numpy(model.scaled(checked)).float()
+    x0 = to_network(torch.from_numpy(images))
+    losses = []
+    for time_step in times:
+        noise = torch.randn(x0.shape, generator=random_generator(seed, 6, int(time_step)))
+        t = torch.full((len(x0),), int(time_step))
+        losses.append(_squared_errors(model, x0, y, t, noise).mean().item())
+    return np.array(losses)
+
+
+def _squared_errors(model: TrainedModel, x0: Tensor, y: Tensor | None, t: Tensor, noise: Tensor) -> Tensor:
+    """Squared error of the answer, averaged over pixels, for each image: (n,)."""
+    x = process.add_noise(model.schedule, x0, t, noise)
+    with torch.inference_mode():
+        prediction = model.net(x, t, y)
+    target = process.training_target(model.schedule, x0, t, noise, model.config.objective)
+    return process.squared_error(prediction, target)
 
 
 class _Run:
