@@ -283,9 +283,11 @@ def _whole_or_nothing(folder):
                 shutil.rmtree(left, ignore_errors=True)
         draft.mkdir()
         yield draft
+        before = draft.with_suffix(".old.partial")
         if folder.exists():
-            shutil.rmtree(folder)
+            os.replace(folder, before)
         os.replace(draft, folder)
+        shutil.rmtree(before, ignore_errors=True)
     except OSError as error:
         reason = f"{error.strerror or error}; no designs were written: make room, or give another folder"
         raise OSError(error.errno, reason, str(folder)) from error

@@ -349,8 +349,9 @@ def _svg_points(path):
         for name in ("width", "height", "viewBox"):  # they would turn user units into pixels of a screen
             root.attrib.pop(name, None)
         drawing = svgelements.SVG.parse(io.BytesIO(ElementTree.tostring(root)))
-        shapes = [svgelements.Path(shape) for shape in drawing.elements() if isinstance(shape, svgelements.Shape)]
-        curves = [list(curve) for shape in shapes for curve in shape.as_subpaths() if len(curve) > 1]
+        shapes = [shape for shape in drawing.elements() if isinstance(shape, svgelements.Shape)]
+        drawn = [svgelements.Path(*shape.segments(transformed=True)) for shape in shapes]
+        curves = [list(curve) for shape in drawn for curve in shape.as_subpaths() if len(curve) > 1]
         curves = [[segment for segment in curve if not isinstance(segment, svgelements.Move)] for curve in curves]
     except (ElementTree.ParseError, ValueError, TypeError, AttributeError, KeyError, IndexError, OSError) as error:
         raise ValueError(f"{path} cannot be read as an SVG file: {error}") from None
