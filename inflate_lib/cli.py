@@ -54,6 +54,14 @@ def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False, retr
 
 
 @app.command()
+def pdf() -> None:
+    """Print the book that was built last as one PDF file, with Chromium."""
+    from inflate_lib.printing import print_book
+
+    print(f"The book on paper: {print_book()}")
+
+
+@app.command()
 def dataset(
     source: Annotated[str, typer.Option(help="auto, mnist or digits.")] = "auto",
     structures: Annotated[int | None, typer.Option(help="How many sevens (all by default).")] = None,

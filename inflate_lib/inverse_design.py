@@ -29,7 +29,7 @@ from inflate_lib.profiles import load_profile
 from inflate_lib.structures import FRAME, OUTSIDE, label_image
 
 PREFERENCES = ("low-stress", "high-stress")
-SAMPLING = {"sampler": "ddim", "steps": 50, "eta": 1.0, "guidance": 1.0}
+SAMPLING = {"sampler": "ddim", "steps": 25, "eta": 1.0, "guidance": 3.0}
 BATCH = 64  # candidates
 SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
 #: Models by what they are conditioned on, the most telling first; "joint" takes any combination, NaN where not asked.
