@@ -101,7 +101,7 @@ def answers(model, descriptor, data, sampling=None, seed=0, n=N_ASKED, n_jobs=-1
     data : xarray.Dataset
         All simulated structures; those of :func:`inflate_lib.datasets.held_out` are not used.
     sampling : Mapping, optional
-        As in :func:`inflate_lib.experiments.run_experiment`; a calibration is good for this sampling alone.
+        As in :func:`inflate_lib.generation.run_experiment`; a calibration is good for this sampling alone.
     seed : int
         Of the choice of training structures, and of the noise.
     n : int
