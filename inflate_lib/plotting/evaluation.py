@@ -130,7 +130,9 @@ def plot_selection(tables):
                 part = part[np.isfinite(part["median"])]
                 ax.plot(part[across], part["median"], "-" if solid else ":", marker=marker, color=colour, markersize=4,
                         markerfacecolor=colour if solid else "white", label=f"{name}, {by}")  # fmt: skip
-        ax.set(xscale="log", yscale="log", xlabel=xlabel, ylabel=ylabel)
+        if any(len(line.get_xdata()) for line in ax.lines):  # logarithms want something to scale to
+            ax.set(xscale="log", yscale="log")
+        ax.set(xlabel=xlabel, ylabel=ylabel)
     handles = {}
     for ax in axes[0]:
         handles |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
