@@ -67,7 +67,7 @@ def plot_novelty(distances, yardstick):
     return fig
 
 
-def plot_neighbours(images, neighbours, distances, titles=("generated", "nearest training structure")):
+def plot_neighbours(images, neighbours, distances, titles=("generated", "nearest")):
     """Images in the upper row, their neighbours in the lower, and their distances between the two."""
     fig, axes = figure(2, len(images), height=2 * 17.0 / len(images) + 1.0, squeeze=False)
     for column, (image, neighbour, distance) in enumerate(zip(images, neighbours, distances, strict=True)):
@@ -100,7 +100,7 @@ def plot_baselines(table, unit):
             colour = COLOURS.target if place == 0 else COLOURS.wall
             ax.plot([row["low"], row["high"]], [place, place], color=colour, linewidth=2.2, alpha=0.6)
             ax.plot(row["median"], place, "o", color=colour, markersize=5)
-        ax.set(title=name, xlabel=f"median error ({unit[name]})", xlim=(0, None))
+        ax.set(title=name, xlabel=f"error ({unit[name]})", xlim=(0, None))
         ax.grid(axis="x", color="#E6E6E6")
     axes[0, 0].set_yticks(range(len(methods)), methods)
     axes[0, 0].invert_yaxis()
