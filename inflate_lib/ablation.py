@@ -17,7 +17,7 @@ from inflate_lib.generation import run_experiment
 GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
 N_CALIBRATION = 150  # structures drawn to calibrate a model
 FAST = (10, 20, 50)  # steps of the fast samplers
-SIZES = (200, 600, 2000)  # structures, besides all
+SIZES = (600, 2000)  # structures, besides all
 MEASURES = {"R²": "R²", "median error": "median error / target", "valid": "valid"}
 PAPER = {
     "objective": "epsilon",

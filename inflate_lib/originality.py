@@ -157,7 +157,7 @@ def _flat(images):
     """Images as rows of float32 in [0, 1]."""
     images = np.asarray(images)
     scale = 255 if images.dtype == np.uint8 else 1
-    return images.reshape(len(images), -1).astype(np.float32) / np.float32(scale)
+    return images.reshape(len(images), np.prod(images.shape[1:])).astype(np.float32) / np.float32(scale)
 
 
 def _squared_distances(a, b):

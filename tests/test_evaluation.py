@@ -234,6 +234,11 @@ def test_distance_to_the_nearest_is_the_smallest_of_all():
         assert np.sqrt(((apply_variants(library, v[None])[0] - image) ** 2).mean()) == pytest.approx(d, rel=1e-5)
 
 
+def test_no_images_have_no_neighbours():
+    distance, variant = nearest(IMAGES[:0], IMAGES[:3])
+    assert distance.shape == (0,) and variant.shape == (0, 4)
+
+
 def test_pairwise_distances_forgive_flips_and_shifts():
     variants = np.array([[0, 0, 0, 0], [0, 1, 2, -1], [1, 0, 0, 0]])
     apart = pairwise(apply_variants(IMAGES[:2], variants))

@@ -226,7 +226,7 @@ def test_the_explorer_shows_the_structures_of_its_target(browser, data, width):
             for number in (len(data["descriptors"][kind]) - 1, 1):
                 set_slider(page.locator(".explorer-target input"), number)
                 entry = data["descriptors"][kind][number]
-                assert words(entry) in page.get_by_role("status").first.inner_text()
+                assert words(entry) in page.locator(".explorer-status").inner_text()
                 figures = page.locator(".explorer-gallery figure")
                 assert figures.count() == len(entry["structures"])
                 for k, structure in enumerate(entry["structures"]):
@@ -266,13 +266,13 @@ def test_a_target_in_the_plane_is_dragged_and_stepped(browser, data):
         first, last = (corner + size * np.array(place) / 100 for place in places)
         page.mouse.move(*first)
         page.mouse.down()
-        assert words(entries[0]) in page.get_by_role("status").inner_text()
+        assert words(entries[0]) in page.locator(".explorer-status").inner_text()
         page.mouse.move(*last, steps=5)
         page.mouse.up()
-        assert words(entries[-1]) in page.get_by_role("status").inner_text()
+        assert words(entries[-1]) in page.locator(".explorer-status").inner_text()
         page.get_by_label("Width", exact=True).and_(page.locator("[type=range]")).press("Home")
         one = entries[n * (n - 1)]
-        assert words(one) in page.get_by_role("status").inner_text()
+        assert words(one) in page.locator(".explorer-status").inner_text()
         if one["structures"]:
             np.testing.assert_allclose(drawn(page), expected(data, one["structures"][0], -1), atol=1e-9)
 

@@ -25,9 +25,9 @@
 
   function slider(label, last) {
     const input = make("input", { type: "range", min: 0, max: last, step: 1, value: 0 });
-    const output = make("output");
-    const row = make("div", { class: "slider-row" }, make("label", {}, make("span", {}, label), input), output);
-    const say = (text) => { output.textContent = text; input.setAttribute("aria-valuetext", text); };
+    const value = make("span", { class: "slider-value", "aria-hidden": "true" }); // screen readers hear it from the slider
+    const row = make("div", { class: "slider-row" }, make("label", {}, make("span", {}, label), input), value);
+    const say = (text) => { value.textContent = text; input.setAttribute("aria-valuetext", text); };
     return { input, row, say };
   }
 
