@@ -69,10 +69,13 @@ def plot_novelty(distances, yardstick):
 
 def plot_neighbours(images, neighbours, distances, titles=("generated", "nearest")):
     """Images in the upper row, their neighbours in the lower, and their distances between the two."""
-    fig, axes = figure(2, len(images), height=2 * 17.0 / len(images) + 1.0, squeeze=False)
+    columns = max(8, len(images))  # fewer are no larger
+    fig, axes = figure(2, columns, height=2 * 17.0 / columns + 1.0, squeeze=False)
+    for ax in axes.flat:
+        picture_axes(ax)
     for column, (image, neighbour, distance) in enumerate(zip(images, neighbours, distances, strict=True)):
-        picture_axes(axes[0, column]).imshow(image, vmin=0, vmax=_white(images))
-        picture_axes(axes[1, column]).imshow(neighbour, vmin=0, vmax=_white(neighbours))
+        axes[0, column].imshow(image, vmin=0, vmax=_white(images))
+        axes[1, column].imshow(neighbour, vmin=0, vmax=_white(neighbours))
         axes[0, column].set_xlabel(f"{distance:.3f}")
     for ax, title in zip(axes[:, 0], titles, strict=True):
         ax.set_ylabel(title)
