@@ -8,7 +8,7 @@ PIP     := $(BIN)/python -m pip --disable-pip-version-check
 NEEDS   := pyproject.toml constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help install book reproduce test lab lint clean
+.PHONY: help install book pdf reproduce test lab lint clean
 
 help: ## show the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -16,6 +16,9 @@ help: ## show the targets
 
 book: .venv/installed ## execute what is not fresh under PROFILE, build book/_build/html
 	$(BIN)/inflate book --profile $(PROFILE) --jobs $(JOBS)
+
+pdf: book ## the same as one PDF file, printed by Chromium: book/_build/pdf/book.pdf
+	$(BIN)/inflate pdf
 
 reproduce: .venv/installed ## execute what is not fresh under PROFILE, without the book
 	$(BIN)/inflate reproduce --profile $(PROFILE) --jobs $(JOBS)

@@ -17,6 +17,7 @@ _PUBLIC = {
     "self_contact": "contact",
     "simulate_dataset": "datasets",
     "simulated_sevens": "datasets",
+    "design": "inverse_design",
 }
 
 __all__ = sorted(_PUBLIC)

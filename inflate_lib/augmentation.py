@@ -12,6 +12,7 @@ FRAME = 28
 WALL = 2
 MAX_SHIFT = 3
 PAPER_SAMPLES = 71_616
+AXIS = slice(-60, None)  # the thirty points of a medial axis, alone or at the end of all descriptors together
 
 
 def augment(images, n_samples=None, seed=0, max_shift=MAX_SHIFT):
@@ -107,14 +108,14 @@ def apply_variants(images, variants):
 def augment_descriptors(matrix, name, variants):
     """Descriptors of the variants, (m, N), from those of the originals, ``matrix`` (n, N).
 
-    Height, width, bounding box and hull area are those of the original; the medial axis (``name="axis"``) of a flipped
-    structure is mirrored.
+    Height, width, bounding box and hull area are those of the original; the medial axis (``name="axis"``, and the end
+    of ``"joint"``) of a flipped structure is mirrored.
     """
     structure, flip = np.asarray(variants)[:, :2].T
     matrix = np.asarray(matrix)[structure]
-    if name == "axis":
+    if name in ("axis", "joint"):
         flipped = flip == 1
-        matrix[flipped] = mirror_axis(matrix[flipped])
+        matrix[flipped, AXIS] = mirror_axis(matrix[flipped, AXIS])
     return matrix
 
 

@@ -3,6 +3,7 @@
 import os
 import platform
 import sys
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -50,6 +51,14 @@ def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False, retr
     _set_retrain(retrain)
     reproduce(profile, (), jobs, force)
     build_book(profile)
+
+
+@app.command()
+def pdf() -> None:
+    """Print the book that was built last as one PDF file, with Chromium."""
+    from inflate_lib.printing import print_book
+
+    print(f"The book on paper: {print_book()}")
 
 
 @app.command()
@@ -114,6 +123,70 @@ def simulate(
 
 
 @app.command()
+def design(
+    out: Annotated[Path, typer.Option(help="Folder for the designs; new or empty.")],
+    height: Annotated[float | None, typer.Option(help="Height of the inflated structure; the frame is 1.")] = None,
+    width: Annotated[float | None, typer.Option(help="Width of the inflated structure.")] = None,
+    area: Annotated[float | None, typer.Option(help="Area of its convex hull.")] = None,
+    axis: Annotated[Path | None, typer.Option(help="Medial axis: CSV, x,y per line from bottom to top.")] = None,
+    outline: Annotated[Path | None, typer.Option(help="The inflated shape, drawn: SVG, or a two-coloured PNG.")] = None,
+    outline_unit: Annotated[
+        float | None, typer.Option(help="User units of that SVG (pixels of the PNG) per side of the frame [--size-mm].")
+    ] = None,
+    number: Annotated[int, typer.Option("-n", "--number", min=1, max=1000, help="How many designs.")] = 12,
+    tolerance: Annotated[float, typer.Option(help="Largest relative error of every target.")] = 0.01,
+    prefer: Annotated[str | None, typer.Option(help="low-stress or high-stress, among those that fit.")] = None,
+    min_void_mm: Annotated[float, typer.Option(help="Least width of the cavity.")] = 0.0,
+    max_material_mm2: Annotated[float | None, typer.Option(help="Largest area of the wall.")] = None,
+    symmetric: Annotated[
+        bool, typer.Option("--symmetric", help="Only structures that are their own mirror image.")
+    ] = False,
+    keep_out_mm: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(help="Left, bottom, right, top of a region to keep out of."),
+    ] = None,
+    size_mm: Annotated[float, typer.Option(help="Side of the 28-pixel frame.")] = 100.0,
+    depth_mm: Annotated[float, typer.Option(help="Thickness out of the plane.")] = 20.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
+    seconds: Annotated[float, typer.Option(help="Stop the search after so long.")] = 90.0,
+    candidates: Annotated[int, typer.Option(min=1, help="Stop the search after so many.")] = 4096,
+    profile: Annotated[
+        str | None, typer.Option(help="Weights of this profile (the best in data/pretrained, else ci).")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is in the folder.")] = False,
+) -> None:
+    """Design structures that inflate to a size or a shape of your own; every one is verified by inflating it.
+
+    Give any of --height, --width, --area, --axis, or an --outline. Targets are in sides of the frame, the rest in mm.
+    """
+    from inflate_lib.constraints import from_millimetres
+    from inflate_lib.design_files import check_folder, check_sizes, save_designs
+    from inflate_lib.design_targets import read_targets
+    from inflate_lib.inverse_design import design
+
+    check_sizes(size_mm=size_mm, depth_mm=depth_mm)
+    targets = read_targets(height, width, area, axis, outline, size_mm if outline_unit is None else outline_unit)
+    constraints = from_millimetres(size_mm, min_void_mm, max_material_mm2, symmetric, keep_out_mm)
+    check_folder(out, overwrite)
+    try:
+        found = design(
+            targets, number, profile=profile, constraints=constraints, tolerance=tolerance, prefer=prefer, seed=seed,
+            seconds=seconds, max_candidates=candidates,
+        )  # fmt: skip
+        print(found.summary())
+        if found.designs:
+            print(found.table().to_string(index=False, float_format="{:.4g}".format))
+        start = time.monotonic()
+        save_designs(found, out, size_mm, depth_mm, overwrite)
+    except KeyboardInterrupt:
+        print(f"inflate: interrupted; nothing was written to {out}", file=sys.stderr)
+        raise typer.Exit(130) from None
+    print(f"written in {time.monotonic() - start:.1f} s: {out / 'contact_sheet.png'}, and a folder for each design")
+    if sum(one.within for one in found.designs) < number:
+        raise typer.Exit(2)
+
+
+@app.command()
 def train(
     descriptor: Annotated[str, typer.Option(help="height, width, box, area, axis, or all.")] = "all",
     profile: ProfileName = "ci",
@@ -165,6 +238,23 @@ def _export(file: Path, name: str, profile: str, out: Path | None) -> str:
     about, loss = model.metadata, model.history["loss"][-1]
     unseen = f", held out {about['held_out_loss']:.4f}" if "held_out_loss" in about else ""
     return f"{name}: {about['seconds'] / 60:.1f} min on {about['device']}, loss {loss:.4f}{unseen}: {file}"
+
+
+@app.command()
+def card(
+    profile: ProfileName = "laptop",
+    folder: Annotated[Path | None, typer.Option(help="Folder of the weights; data/pretrained/<profile>.")] = None,
+    targets: Annotated[int, typer.Option(min=2, help="Held-out targets for each model.")] = 200,
+) -> None:
+    """Measure the weights of a profile on held-out targets, and write the model card beside them."""
+    from inflate_lib import paths
+    from inflate_lib.cards import write_card
+    from inflate_lib.datasets import simulated_sevens
+    from inflate_lib.profiles import load_profile
+
+    given = load_profile(profile).parameters(paths.NOTEBOOKS / "10_scalar_targets.md")
+    data = simulated_sevens(given["source"], given["n_structures"] or None)
+    print(write_card(folder or paths.PRETRAINED / profile, data, given["sampling"], given["n_calibration"], targets))
 
 
 @app.command()

@@ -9,6 +9,9 @@ AXIS_POINTS = 30
 
 #: The five descriptors that models are conditioned on, and the length N of each as a vector.
 DESCRIPTORS = {"height": 1, "width": 1, "box": 2, "area": 1, "axis": 2 * AXIS_POINTS}
+#: Parts of the descriptor "joint", of which a model can be asked for any combination, and their lengths.
+PARTS = {"height": 1, "width": 1, "area": 1, "axis": 2 * AXIS_POINTS}
+JOINT = "joint"
 
 
 @dataclass(frozen=True)
@@ -39,22 +42,38 @@ class Descriptors:
         return self.height, self.width
 
     def vector(self, name):
-        """(N,) the descriptor `name` ("height", "width", "box", "area" or "axis") as a model is conditioned on it."""
+        """(N,) the descriptor `name` as a model is conditioned on it."""
         values = {
             "height": [self.height],
             "width": [self.width],
             "box": [self.height, self.width],
             "area": [self.hull_area],
             "axis": self.medial_axis.ravel(),
+            JOINT: [self.height, self.width, self.hull_area, *self.medial_axis.ravel()],
         }
         return np.array(values[check_name(name)], dtype=float)
 
 
 def check_name(name):
     """Return `name`, or raise a ValueError that lists the descriptors."""
-    if name not in DESCRIPTORS:
-        raise ValueError(f"unknown descriptor {name!r}; choose one of {', '.join(DESCRIPTORS)}")
+    if name not in DESCRIPTORS and name != JOINT:
+        raise ValueError(f"unknown descriptor {name!r}; choose one of {', '.join(DESCRIPTORS)}, {JOINT}")
     return name
+
+
+def length(name):
+    """Number of components of a descriptor."""
+    return (DESCRIPTORS | {JOINT: sum(PARTS.values())})[check_name(name)]
+
+
+def joint_conditions(name, values):
+    """Descriptors (n, N) as a model of the descriptor "joint" is told them, (n, 63): NaN for what is not asked for."""
+    values = np.asarray(values, dtype=float)
+    asked = {"box": ("height", "width"), JOINT: tuple(PARTS)}.get(check_name(name), (name,))
+    columns = np.isin(np.repeat(list(PARTS), list(PARTS.values())), asked)
+    conditions = np.full((len(values), columns.size), np.nan)
+    conditions[:, columns] = values
+    return conditions
 
 
 def describe(result, step=-1):
@@ -156,13 +175,13 @@ def descriptor_matrix(data, name):
     ----------
     data : xarray.Dataset
         From :func:`inflate_lib.simulate_dataset`.
-    name : {"height", "width", "box", "area", "axis"}
+    name : {"height", "width", "box", "area", "axis", "joint"}
 
     Returns
     -------
     (n, N) float
-        Box as (height, width); the medial axis point by point (x₀, y₀, x₁, y₁, …). NaN where a structure did not
-        converge.
+        Box as (height, width); the medial axis point by point (x₀, y₀, x₁, y₁, …); joint as height, width, area, axis.
+        NaN where a structure did not converge.
     """
     columns = {
         "height": ["height"],
@@ -170,5 +189,6 @@ def descriptor_matrix(data, name):
         "box": ["height", "width"],
         "area": ["hull_area"],
         "axis": ["medial_axis"],
+        JOINT: ["height", "width", "hull_area", "medial_axis"],
     }[check_name(name)]
     return np.column_stack([data[column].values.reshape(data.sizes["structure"], -1) for column in columns])

@@ -1,42 +1,25 @@
-"""The paper's experiments (sec. 4): train one model per descriptor, ask for targets, inflate what comes out, compare.
+"""The models of the experiments (sec. 4.1): one per descriptor, trained, found in the cache, or committed.
 
 Each function here is one expensive step, kept on disk under a key made from its parameters and inputs, so that
-every notebook can call for what it needs and finds it done if another one needed it before.
+every notebook can call for what it needs and finds it done if another one needed it before. What the models are asked
+for, and what comes of it, is in ``generation`` and ``evaluation``.
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs
-from sklearn.metrics import r2_score
 
-from inflate_lib import (
-    augmentation,
-    datasets,
-    descriptors,
-    diffusion,
-    inflation,
-    material,
-    mesh,
-    paths,
-    sparse,
-    structures,
-)
+from inflate_lib import augmentation, datasets, descriptors, diffusion, paths
 from inflate_lib.augmentation import apply_variants, augment, augment_descriptors
 from inflate_lib.cache import RETRAIN, cached, code_version, digest
 from inflate_lib.descriptors import check_name, descriptor_matrix
-from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, ranks, train
+from inflate_lib.diffusion import TrainedModel, TrainingConfig, ranks, train
 from inflate_lib.diffusion.training import choose_device, simple_loss
-
-PIXEL = 1 / 28  # in lengths of the unit square
-WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for a drawing to be one structure
-
-#: What one component of each descriptor is called in tables.
-COMPONENTS = {"height": ["h"], "width": ["w"], "box": ["h", "w"], "area": ["A"]}
 
 
 def training_pairs(data, descriptor, n_augmented, seed=0):
@@ -94,7 +77,7 @@ def trained_model_file(
         A safetensors file for :meth:`inflate_lib.diffusion.TrainedModel.load`; None in all processes but the first. A
         killed training goes on from its last checkpoint.
     """
-    config = TrainingConfig.from_dict({**training, "seed": seed})
+    config = _config(descriptor, training, seed)
     about = _about(descriptor, data, n_augmented)
 
     def make(target, scratch):
@@ -138,7 +121,7 @@ def committed_weights(descriptor, training, data, n_augmented=augmentation.PAPER
     ValueError
         A file there is damaged, or not one of this library.
     """
-    recipe = TrainingConfig.from_dict({**training, "seed": seed}).recipe()
+    recipe = _config(descriptor, training, seed).recipe()
     about, mean, why_not = _about(descriptor, data, n_augmented), _mean(descriptor, data), ""
     for path in sorted(paths.PRETRAINED.glob(f"*/{descriptor}.safetensors")):
         model = TrainedModel.load(path)
@@ -207,17 +190,17 @@ def training_cost(names: Sequence[str], training, data, n_augmented=augmentation
         A row per model: seconds per step (median over the run), images per second, steps and hours of the whole
         training, and how many models train at a time.
     """
-    whole = TrainingConfig.from_dict({**training, "seed": seed})
-    config = replace(whole, steps=steps, epochs=None, log_every=max(1, steps // 10))
 
     def one(name, threads):
+        whole = _config(name, training, seed)
+        config = replace(whole, steps=steps, epochs=None, log_every=max(1, steps // 10))
         images, conditions = training_pairs(data, name, n_augmented, seed)
         model = train(images, conditions, config, progress=f"dry run {name}", threads=threads)
         return model.metadata["seconds_per_step"], whole.training_steps(len(images))
 
     measured = pd.DataFrame(_side_by_side(one, names, training), columns=["seconds per step", "steps"])
     measured.insert(0, "descriptor", list(names))
-    measured["images per second"] = whole.batch_size / measured["seconds per step"]
+    measured["images per second"] = _config(names[0], training, seed).batch_size / measured["seconds per step"]
     measured["hours"] = measured["seconds per step"] * measured["steps"] / 3600
     measured["side by side"] = _jobs(names, training)
     return measured
@@ -233,6 +216,12 @@ def _side_by_side(task, names, training):
 def _jobs(names, training):
     alone = choose_device(training.get("device", "auto")).type == "mps" or ranks.world() > 1
     return 1 if alone else min(len(names), effective_n_jobs(-1))
+
+
+def _config(descriptor, training, seed):
+    """The training configuration of one descriptor's model."""
+    parts = list(descriptors.PARTS.values()) if descriptor == descriptors.JOINT else []
+    return TrainingConfig.from_dict({**training, "seed": seed, "parts": parts})
 
 
 def _held_out(data):
@@ -259,150 +248,3 @@ def _mean(descriptor, data):
 def _name(path):
     """A path as a reader of the book should see it."""
     return path.relative_to(paths.ROOT) if path.is_relative_to(paths.ROOT) else path
-
-
-def run_experiment(model, descriptor, targets, n_per_target=50, sampling: Mapping | None = None, seed=0, n_jobs=-1):
-    """Generate structures for each target, inflate and describe them (paper sec. 2.3).
-
-    Parameters
-    ----------
-    model : TrainedModel
-    descriptor : str
-    targets : (k, N) array_like
-        Wanted descriptors, in lengths or areas of the unit square.
-    n_per_target : int
-        Structures generated for each target.
-    sampling : Mapping, optional
-        Options of :func:`inflate_lib.diffusion.generate`: sampler, steps, eta, guidance.
-    seed : int
-        Of the noise.
-    n_jobs : int
-        Processes of the simulation.
-
-    Returns
-    -------
-    xarray.Dataset
-        As :func:`inflate_lib.simulate_dataset` gives it, one row per structure, target after target, with the variables
-        ``level`` (number of the target), ``target`` (structure, component) and ``valid`` besides: the drawing is one
-        structure, not a broken one of which the largest piece was taken, and it converged. Images that give no
-        structure keep their row.
-
-    Raises
-    ------
-    ValueError
-        For targets of the wrong shape, or options that the sampler does not have.
-    """
-    targets = np.asarray(targets, dtype=float).reshape(-1, descriptors.DESCRIPTORS[check_name(descriptor)])
-    sampling = dict(sampling or {})
-    if n_per_target < 1:
-        raise ValueError(f"n_per_target must be at least 1, not {n_per_target!r}")
-    level = np.repeat(np.arange(len(targets)), n_per_target)
-
-    def make(target, scratch):
-        images = generate(model, targets[level], seed=seed, **sampling)
-        data = datasets.simulate_dataset(images, n_jobs=n_jobs, folder=scratch)
-        data["level"] = ("structure", level, {"long_name": "number of the target"})
-        about = {"long_name": f"target {descriptor}", "units": "1"}
-        data["target"] = (("structure", "component"), targets[level], about)
-        valid = data["converged"].values & [_is_whole(image) for image in images]
-        data["valid"] = ("structure", valid, {"long_name": "one structure that converges"})
-        data.attrs |= {"descriptor": descriptor, "seed": seed} | {f"sampling_{k}": v for k, v in sampling.items()}
-        datasets.save_dataset(data, target)
-
-    weights = [value.numpy() for _, value in sorted(model.net.state_dict().items())]
-    key = {
-        "descriptor": descriptor,
-        "model": digest(*weights, model.condition_min, model.condition_max),
-        "objective": model.config.objective,
-        "targets": digest(targets),
-        "n_per_target": n_per_target,
-        "sampling": sampling,
-        "seed": seed,
-        "code": code_version(diffusion, structures, mesh, sparse, material, inflation, descriptors, __name__),
-    }
-    return datasets.load_dataset(cached("experiment", key, make, ".nc"))
-
-
-def errors(experiment, descriptor):
-    """Distance of what was achieved from what was asked for, one number per structure.
-
-    Parameters
-    ----------
-    experiment : xarray.Dataset
-        From :func:`run_experiment`.
-    descriptor : str
-
-    Returns
-    -------
-    (n,) float
-        Height, width, area: relative error |achieved − target| / target. Box: the mean of its two relative errors.
-        Axis: mean distance of the thirty points, in pixels. NaN where the structure is not valid.
-    """
-    target, achieved = experiment["target"].values, descriptor_matrix(experiment, descriptor)
-    if descriptor == "axis":
-        apart = (achieved - target).reshape(len(target), -1, 2)
-        return np.linalg.norm(apart, axis=-1).mean(axis=1) / PIXEL
-    return np.abs(achieved / target - 1).mean(axis=1)
-
-
-def accuracy(experiment, descriptor):
-    """How close the structures of an experiment come to their targets.
-
-    Parameters
-    ----------
-    experiment : xarray.Dataset
-        From :func:`run_experiment`.
-    descriptor : str
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row per target and one for all: the target, the share of valid structures (one closed structure that
-        converges), mean and standard deviation of what was achieved, mean and median error (percent; for axes:
-        pixels), share within 5 percent (axes: within one pixel), and in the last row R², the coefficient of
-        determination of achieved against target.
-    """
-    valid, target = experiment["valid"].values, experiment["target"].values
-    level, achieved = experiment["level"].values, descriptor_matrix(experiment, descriptor)
-    error = errors(experiment, descriptor)
-    unit, scale, near = ("px", 1, 1) if descriptor == "axis" else ("%", 100, 0.05)
-
-    def row(name, here):
-        error_here = pd.Series(error[here & valid])  # pandas: the mean of nothing is NaN, without a warning
-        return {
-            "target": name,
-            "valid": valid[here].mean(),
-            f"mean error ({unit})": scale * error_here.mean(),
-            f"median error ({unit})": scale * error_here.median(),
-            f"within {near} px" if descriptor == "axis" else f"within {near:.0%}": (error_here <= near).mean(),
-        }
-
-    rows = []
-    for k in np.unique(level):
-        here = level == k
-        reached = pd.DataFrame(achieved[here & valid])
-        spread = {}
-        for column, name in enumerate(COMPONENTS.get(descriptor, [])):
-            spread |= {f"mean {name}": reached[column].mean(), f"std {name}": reached[column].std()}
-        rows.append(row(_words(descriptor, target[here][0], k), here) | spread)
-    everything = row("all", np.ones(len(level), dtype=bool))
-    if valid.sum() > 1:
-        everything["R²"] = r2_score(target[valid], achieved[valid], multioutput="variance_weighted")
-    return pd.DataFrame([*rows, everything]).reindex(columns=[*rows[0], "R²"])
-
-
-def _is_whole(image):
-    """Whether one connected piece holds nearly all bright pixels of a generated image."""
-    bright = image > structures.THRESHOLD
-    try:
-        return structures.main_component(image).sum() >= WHOLE * bright.sum()
-    except ValueError:
-        return False
-
-
-def _words(descriptor, target, number):
-    """A target as a table shows it."""
-    if descriptor == "axis":
-        return f"axis {number + 1}"
-    values = ", ".join(f"{value:.3f}" for value in target)
-    return f"({values})" if len(target) > 1 else values

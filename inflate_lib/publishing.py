@@ -91,6 +91,10 @@ class Page:
         self._write(name, {".csv": frame.to_csv(index=shown.has_index, float_format="%.8g").encode()})
         return shown
 
+    def script(self, text: str, name: str) -> None:
+        """Write ``<name>.js``, data for a page that draws by itself in the browser, and the provenance."""
+        self._write(name, {".js": text.encode()})
+
     def record(self, name: str, value: float | bool | str) -> None:
         """Keep a number or short text in the executed notebook, for ``{glue:text}`` in the prose and for the tests."""
         value = value.item() if isinstance(value, np.generic | np.ndarray) and np.size(value) == 1 else value
@@ -112,7 +116,7 @@ class Page:
             "seed": self.seed,
             "python": platform.python_version(),
             "packages": package_versions(),
-        } | _code_state()
+        } | code_state()
 
     def _write(self, name: str, files: Mapping[str, bytes]) -> None:
         if not name or Path(name).name != name:
@@ -198,7 +202,7 @@ def _resolve(source: str) -> str:
 
 
 @functools.cache
-def _code_state() -> dict[str, Any]:
+def code_state() -> dict[str, Any]:
     """The commit, and whether the code differs from it; "unknown" outside a git checkout."""
 
     def git(*words: str) -> str | None:

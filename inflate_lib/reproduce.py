@@ -143,13 +143,20 @@ def build_book(profile_name: str, console: Console | None = None) -> Path:
         for folder in ("html", ".doctrees", ".jupyter_cache"):
             shutil.rmtree(build / folder, ignore_errors=True)
     whole.unlink(missing_ok=True)
-    command = [sys.executable, "-c", "import sys; from jupyter_book.cli.main import main; sys.exit(main())"]
-    done = subprocess.run([*command, "build", str(paths.BOOK), "-n", "-W", "--keep-going"], check=False)
-    page = build / "html" / "index.html"
-    if done.returncode or not page.is_file():
-        raise RunError("Jupyter Book reported warnings or errors (above); each has to go before the book is built")
+    page = run_jupyter_book("html")
     whole.write_text(profile_name + "\n")
     console.print(f"The book: {page}", highlight=False, soft_wrap=True)
+    return page
+
+
+def run_jupyter_book(builder: str) -> Path:
+    """Run one of Jupyter Book's builders, warnings as errors; its first page, ``book/_build/<builder>/index.html``."""
+    command = [sys.executable, "-c", "import sys; from jupyter_book.cli.main import main; sys.exit(main())"]
+    options = ["--builder", builder, "-n", "-W", "--keep-going"]
+    done = subprocess.run([*command, "build", str(paths.BOOK), *options], check=False)
+    page = paths.BOOK / "_build" / builder / "index.html"
+    if done.returncode or not page.is_file():
+        raise RunError("Jupyter Book reported warnings or errors (above); each has to go before the book is built")
     return page
 
 
@@ -179,7 +186,7 @@ def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> Job:
 
 def _shared_fingerprint() -> dict[str, Any]:
     """What every notebook may depend on: the library (not this runner), the reference numbers, weights, versions."""
-    runner = {"__init__.py", "cli.py", "display.py", "execution.py", "reproduce.py"}
+    runner = {"__init__.py", "book.py", "cli.py", "display.py", "execution.py", "printing.py", "reproduce.py"}
     package = Path(__file__).parent
     modules = sorted(p for p in package.rglob("*.py") if p.parent != package or p.name not in runner)
     data = sorted(p for folder in (paths.REFERENCE, paths.PRETRAINED) for p in folder.rglob("*") if p.is_file())

@@ -112,7 +112,7 @@ def read_images(path, resize=False, invert=False):
         if images.ndim != 3 or images.shape[1:] != (FRAME, FRAME) or not len(images):
             raise ValueError(f"{path} holds an array of shape {images.shape}, not ({FRAME}, {FRAME}) or a stack")
     else:
-        picture = _read_picture(path)
+        picture = read_picture(path)
         images = np.asarray(picture)[None]
         if picture.size != (FRAME, FRAME):
             width, height = picture.size
@@ -232,8 +232,8 @@ def _sizes(shape):
     return {name: getattr(shape, name) for name in SIZES}
 
 
-def _read_picture(path):
-    """A picture of any kind as 8-bit grey."""
+def read_picture(path):
+    """A picture of any kind as 8-bit grey, a PIL image; a ValueError that names the file where it is none."""
     try:
         with Image.open(path) as picture:
             if picture.mode.startswith(("I", "F")):

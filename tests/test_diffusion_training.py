@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, process, storage, train
-from inflate_lib.diffusion.training import CHECKPOINT, choose_device
+from inflate_lib.diffusion.training import CHECKPOINT, _Run, choose_device, losses_in_time
 
 TINY = {"channels": (4, 8), "embedding": 16, "hidden": 8, "batch_size": 8, "learning_rate": 1e-3}
 
@@ -224,6 +224,47 @@ def test_more_draws_of_t_prefer_noise(monkeypatch, draws):
     # The Kolmogorov bound at 1 % for n independent numbers is 1.63 / √n (somewhat less for whole numbers).
     share = np.searchsorted(np.sort(t), np.arange(1000), side="right") / len(t)
     assert np.abs(share - (np.arange(1, 1001) / 1000) ** draws).max() < 1.63 / len(t) ** 0.5
+
+
+def test_every_combination_of_parts_is_trained(monkeypatch):
+    """Each part of a joint descriptor is withheld half the time, independently, as a whole, and never otherwise."""
+    seen = []
+    losses = _Run.losses
+
+    def spy(self, rows, y, *rest):
+        seen.append(y)
+        return losses(self, rows, y, *rest)
+
+    monkeypatch.setattr(_Run, "losses", spy)
+    model = train(*data(400, 4), config(parts=[1, 3], batch_size=100), progress=False)
+    unknown = torch.cat(seen).isnan()
+    assert bool((unknown[:, 1:].all(1) == unknown[:, 1:].any(1)).all())
+    one, other = unknown[:, 0].double(), unknown[:, 1].double()
+    sigma = 0.5 / len(unknown) ** 0.5
+    for share in (one.mean(), other.mean(), (one == other).double().mean()):
+        assert abs(share - 0.5) < 4.5 * sigma  # fails by chance once in 100,000 seeds
+    # Sampling takes the same holes, but none inside a part.
+    asked = np.array([[5.0, np.nan, np.nan, np.nan], [np.nan, 5.0, 5.0, 5.0]])
+    assert generate(model, asked, sampler="ddim", steps=2).shape == (2, 28, 28)
+    for hole in ([5.0, 5.0, np.nan, 5.0], [5.0, np.nan, 5.0, 5.0], [np.inf, 5.0, 5.0, 5.0]):
+        with pytest.raises(ValueError, match="NaN in a whole part"):
+            generate(model, np.array([hole]), sampler="ddim", steps=2)
+
+
+def test_losses_in_time_are_those_of_a_network_that_answers_zero():
+    """A fresh network answers zero, so its error is the target's own size: 1 for ε at any t, and for v it is
+    ᾱ + (1 − ᾱ)⟨x₀²⟩. Within five standard errors of a mean over 40 · 784 squares of normal numbers."""
+    images, conditions = data(40)
+    sigma = (2 / images.size) ** 0.5
+    times = [0, 500, 999]
+    for objective in ("epsilon", "v"):
+        fresh = config(objective=objective)
+        model = TrainedModel(fresh.make_net(2).eval(), fresh, conditions.min(0), conditions.max(0))
+        bars = model.schedule.alpha_bars[times].numpy()
+        size = np.mean((images / 127.5 - 1) ** 2)
+        expected = np.ones(3) if objective == "epsilon" else bars + (1 - bars) * size
+        for y in (conditions, None):
+            np.testing.assert_allclose(losses_in_time(model, images, y, times), expected, atol=5 * sigma)
 
 
 def test_history_and_progress(capsys):

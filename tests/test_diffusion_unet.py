@@ -162,3 +162,21 @@ def test_the_package_needs_torch_numpy_and_safetensors_only():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == ""
+
+
+def test_parts_of_a_descriptor_are_withheld_by_nan():
+    """What is not asked for has no say, all withheld is the null vector, and nothing that is asked for is ignored."""
+    net = shaken(n_conditions=4, parts=[1, 3])
+    x, t, y = inputs(n_conditions=4)
+    nothing = torch.full_like(y, torch.nan)
+    assert torch.equal(net(x, t, nothing), net(x, t, None))
+    first, last = y.clone(), y.clone()
+    first[:, 1:], last[:, :1] = torch.nan, torch.nan
+    answers = [net(x, t, conditions) for conditions in (y, first, last, nothing)]
+    for i, one in enumerate(answers):
+        assert bool(torch.isfinite(one).all())
+        assert all(not torch.allclose(one, other) for other in answers[:i])
+    zeros = torch.zeros_like(y)
+    assert not torch.allclose(net(x, t, zeros), net(x, t, nothing))  # a value of zero is not the same as none
+    with pytest.raises(ValueError, match="do not make up 4"):
+        shaken(n_conditions=4, parts=[1, 2])

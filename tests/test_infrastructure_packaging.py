@@ -110,11 +110,11 @@ def test_ci_runs_what_the_readme_says():
     assert (paths.ROOT / ".ci" / "run").stat().st_mode & 0o111
 
 
-def test_the_table_of_contents_lists_every_notebook_once_in_order():
+def test_the_table_of_contents_lists_every_notebook_once():
     contents = yaml.safe_load(read("book/_toc.yml"))
     files = [chapter["file"] for part in contents["parts"] for chapter in part["chapters"]]
     listed = [file.removeprefix("notebooks/") for file in files if file.startswith("notebooks/")]
-    assert listed == [path.stem for path in find_notebooks()]
+    assert sorted(listed) == [path.stem for path in find_notebooks()]
     for name in listed:
         assert f"notebooks/{name}" in read("book/index.md")
 

@@ -79,7 +79,7 @@ def test_the_same_figure_gives_the_same_bytes(home):
 
 def test_a_new_commit_alone_rewrites_nothing(home, monkeypatch):
     def commit(name, dirty=False):
-        monkeypatch.setattr(publishing, "_code_state", lambda: {"commit": name, "uncommitted_changes": dirty})
+        monkeypatch.setattr(publishing, "code_state", lambda: {"commit": name, "uncommitted_changes": dirty})
         page().figure(picture(), "fig01")
         return json.loads((home / "figures" / "ci" / "fig01.json").read_text())["commit"]
 

@@ -42,6 +42,10 @@ GOLDEN = {
     },
     "14_tools": {"drawing_height": (1.1598597797, 1e-8), "softer_percent": (3.4038248626, 1e-6)},
     "15_speed": {"factorisations_ten": (149, 0.02), "factorisations_one": (53, 0.04)},
+    "16_accuracy": {"n_targets": (4, 0), "yardstick_smallest": (0.08173646, 1e-5)},
+    "17_alternatives": {"median_height_retrieval": (0.26193822, 1e-6)},
+    "19_explorer": {"n_targets": (13, 0)},
+    "20_extending": {"n_learned": (20, 0)},
 }
 
 

@@ -30,6 +30,7 @@ class TrainingConfig:
     min_snr: float = 0.0  # γ of min-SNR weighting (Hang et al. 2023 take 5); 0: the plain L_simple
     timestep_draws: int = 1  # of so many uniform draws of t the noisiest trains; 1: uniform (paper), 2: density ∝ t
     condition_dropout: float = 0.1  # share of the structures whose descriptor is withheld
+    parts: tuple[int, ...] = ()  # lengths of the parts of a descriptor that can be asked for separately; (): it is one
     steps: int | None = None
     epochs: int | None = None
     batch_size: int = 100
@@ -49,6 +50,9 @@ class TrainingConfig:
         if not isinstance(self.channels, list | tuple) or not self.channels:
             raise ValueError(f"channels must be a list with the channels of each scale, not {self.channels!r}")
         object.__setattr__(self, "channels", tuple(self.channels))
+        if not isinstance(self.parts, list | tuple):
+            raise ValueError(f"parts must be a list with the length of each part of the descriptor, not {self.parts!r}")
+        object.__setattr__(self, "parts", tuple(self.parts))
         check_objective(self.objective)
         check_conditioning(self.conditioning)
         if (self.steps is None) == (self.epochs is None):
@@ -59,6 +63,7 @@ class TrainingConfig:
             raise ValueError(f"precision is auto, float32 or bfloat16, not {self.precision!r}")
         whole = {f.name: getattr(self, f.name) for f in fields(self) if f.type in (int, int | None)}
         whole |= {f"channels[{i}]": c for i, c in enumerate(self.channels)}
+        whole |= {f"parts[{i}]": c for i, c in enumerate(self.parts)}
         for name, value in whole.items():
             least = 0 if name in ("seed", "warmup_steps") else 1
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
@@ -90,7 +95,7 @@ class TrainingConfig:
 
     def as_dict(self) -> dict:
         """Plain values, ready for JSON."""
-        return asdict(self) | {"channels": list(self.channels)}
+        return asdict(self) | {"channels": list(self.channels), "parts": list(self.parts)}
 
     def recipe(self) -> dict:
         """``as_dict`` without what only says where, how fast and how talkatively to compute, not what is learned."""
@@ -109,4 +114,4 @@ class TrainingConfig:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
             widths = self.channels, self.embedding, self.hidden
-            return UNet(n_conditions, *widths, self.blocks, self.conditioning, self.attention)
+            return UNet(n_conditions, *widths, self.blocks, self.conditioning, self.attention, parts=self.parts)

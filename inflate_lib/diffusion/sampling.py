@@ -139,6 +139,7 @@ def generate(
     batch_size: int = 256,
     trajectory: list | None = None,
     device: str = "auto",
+    start: int = 0,
 ) -> np.ndarray:
     """Generate one structure for each target descriptor.
 
@@ -146,7 +147,8 @@ def generate(
     ----------
     model : TrainedModel
     conditions : array, shape (m, N) or (m,)
-        Targets in raw units. One outside the range seen in training draws a warning.
+        Targets in raw units. One outside the range seen in training draws a warning. A model of several parts
+        (``TrainingConfig.parts``) takes NaN for those that are not asked for.
     seed : int
         Structure i depends on the seed, on i and on its own target alone, not on the batch size.
     sampler : "ancestral", "ddim" or "dpm-solver++"
@@ -164,6 +166,8 @@ def generate(
         not clipped.
     device : str
         As in ``TrainingConfig``.
+    start : int
+        Number of the first structure: structures can be made in several calls, and come out the same.
 
     Returns
     -------
@@ -192,7 +196,7 @@ def generate(
             return guided(net, x, t.to(place), y, guidance)
 
         with torch.inference_mode():
-            noise = _noise(seed, rows, size, place)
+            noise = _noise(seed, range(start + rows.start, start + rows.stop), size, place)
             states.append([])
             for x in denoise(predict, model.schedule, noise, model.config.objective, sampler, steps, eta):
                 if trajectory is None:
@@ -222,8 +226,12 @@ def _checked(model: TrainedModel, conditions: np.ndarray) -> np.ndarray:
         conditions = conditions[:, None]
     if conditions.ndim != 2 or conditions.shape[1] != wanted:
         raise ValueError(f"this model takes conditions of shape (m, {wanted}), not {conditions.shape}")
-    if not np.isfinite(conditions).all():
-        raise ValueError("conditions must be finite")
+    asked = np.ones_like(conditions, dtype=bool)
+    if model.config.parts:  # a part is asked for as a whole
+        starts = np.cumsum((0, *model.config.parts[:-1]))
+        asked = np.repeat(~np.isnan(conditions[:, starts]), model.config.parts, axis=1)
+    if not np.array_equal(np.isfinite(conditions), asked):
+        raise ValueError("conditions must be finite" + ", or NaN in a whole part" * bool(model.config.parts))
     slack = 1e-9 * np.maximum(1, np.abs(model.condition_max))
     outside = (conditions < model.condition_min - slack) | (conditions > model.condition_max + slack)
     if outside.any():

@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -109,12 +110,44 @@ def simple_loss(model: TrainedModel, images: np.ndarray, conditions: np.ndarray,
         generator = random_generator(seed, 4, first)
         t = torch.randint(model.config.T, (len(x0),), generator=generator)
         noise = torch.randn(x0.shape, generator=generator)
-        x = process.add_noise(model.schedule, x0, t, noise)
-        with torch.inference_mode():
-            prediction = model.net(x, t, y)
-        target = process.training_target(model.schedule, x0, t, noise, model.config.objective)
-        errors.append(process.squared_error(prediction, target))
+        errors.append(_squared_errors(model, x0, y, t, noise))
     return torch.cat(errors).mean().item()
+
+
+def losses_in_time(
+    model: TrainedModel, images: np.ndarray, conditions: np.ndarray | None, times: Sequence[int], seed: int = 0
+) -> np.ndarray:
+    """Mean squared error of a model's answer at some zero-based time steps.
+
+    Parameters
+    ----------
+    images : array, shape (n, h, w)
+    conditions : array, shape (n, N), or None
+        None withholds the descriptor. The noise does not depend on them: what differs between two calls is theirs.
+    times : sequence of int
+
+    Returns
+    -------
+    array, shape (len(times),)
+    """
+    images, checked = _checked(images, np.zeros(len(images)) if conditions is None else conditions, model.config)
+    y = None if conditions is None else torch.from_numpy(model.scaled(checked)).float()
+    x0 = to_network(torch.from_numpy(images))
+    losses = []
+    for time_step in times:
+        noise = torch.randn(x0.shape, generator=random_generator(seed, 6, int(time_step)))
+        t = torch.full((len(x0),), int(time_step))
+        losses.append(_squared_errors(model, x0, y, t, noise).mean().item())
+    return np.array(losses)
+
+
+def _squared_errors(model: TrainedModel, x0: Tensor, y: Tensor | None, t: Tensor, noise: Tensor) -> Tensor:
+    """Squared error of the answer, averaged over pixels, for each image: (n,)."""
+    x = process.add_noise(model.schedule, x0, t, noise)
+    with torch.inference_mode():
+        prediction = model.net(x, t, y)
+    target = process.training_target(model.schedule, x0, t, noise, model.config.objective)
+    return process.squared_error(prediction, target)
 
 
 class _Run:
@@ -198,15 +231,20 @@ class _Run:
         t = torch.randint(config.T, (config.timestep_draws, n), generator=generator).amax(0)
         dropped = torch.rand(n, generator=generator) < config.condition_dropout
         noise = torch.randn((n, 1, *self.images.shape[1:]), generator=generator)
+        y = self.conditions[rows.to(self.device)]
+        if config.parts:  # each part is withheld every second time, so that any combination can be asked for
+            withheld = torch.rand((n, len(config.parts)), generator=generator) < 0.5
+            withheld = withheld.repeat_interleave(torch.tensor(config.parts), dim=1)
+            y = y.masked_fill(withheld.to(self.device), math.nan)
         mine = slice(ranks.rank(), None, ranks.world())
-        rows, t, dropped, noise = rows[mine], t[mine], dropped[mine], noise[mine]
+        rows, y, t, dropped, noise = rows[mine], y[mine], t[mine], dropped[mine], noise[mine]
 
         for group in self.optimiser.param_groups:
             group["lr"] = self.learning_rate()
         self.optimiser.zero_grad(set_to_none=False)  # a process without a row in this batch has a gradient, too
         losses = torch.zeros(3, device=self.device)
         if len(rows):
-            losses = self.losses(self.there(rows), t, self.there(dropped), self.there(noise)) / n
+            losses = self.losses(self.there(rows), y, t, self.there(dropped), self.there(noise)) / n
             losses[0].backward()
             losses = losses.detach()
         ranks.add_up([*(p.grad for p in self.net.parameters()), losses])
@@ -224,13 +262,13 @@ class _Run:
         on_gpu = self.device.type == "cuda"
         return (tensor.pin_memory() if on_gpu else tensor).to(self.device, non_blocking=on_gpu)
 
-    def losses(self, rows: Tensor, t: Tensor, dropped: Tensor, noise: Tensor) -> Tensor:
+    def losses(self, rows: Tensor, y: Tensor, t: Tensor, dropped: Tensor, noise: Tensor) -> Tensor:
         """Hybrid loss, its simple and its vlb part, summed over some rows of a batch."""
         x0 = to_network(self.images[rows])
         x = process.add_noise(self.schedule, x0, t, noise)
         target = process.training_target(self.schedule, x0, t, noise, self.config.objective)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16):
-            prediction = self.predict(x, t.to(self.device), self.conditions[rows], dropped)
+            prediction = self.predict(x, t.to(self.device), y, dropped)
         error = process.squared_error(prediction.float(), target)
         weighted = at(self.weights, t, error) * error, error, at(self.vlb_weights, t, error) * error
         return torch.stack([part.sum() for part in weighted])

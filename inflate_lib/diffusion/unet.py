@@ -100,6 +100,8 @@ class UNet(nn.Module):
         Self-attention in the middle, on the coarsest grid.
     groups : int
         Groups of each normalisation (the largest common divisor with the channels where it does not divide).
+    parts : sequence of int
+        Lengths of the parts of y, in order, each of which may be withheld by NaN; empty: y is given or withheld whole.
     """
 
     def __init__(
@@ -112,13 +114,17 @@ class UNet(nn.Module):
         conditioning: str = "scale-shift",
         attention: bool = False,
         groups: int = 8,
+        parts: Sequence[int] = (),
     ):
         super().__init__()
+        if parts and sum(parts) != n_conditions:
+            raise ValueError(f"parts of lengths {tuple(parts)} do not make up {n_conditions} conditions")
+        self.part_starts = [sum(parts[:i]) for i in range(len(parts))]
         self.n_conditions, self.channels, self.embedding = n_conditions, tuple(channels), embedding
         self.blocks = blocks
         check_conditioning(conditioning)
         self.descriptor = nn.Sequential(
-            nn.Linear(n_conditions, hidden),
+            nn.Linear(n_conditions + len(parts), hidden),
             nn.SiLU(),
             nn.Linear(hidden, hidden),
             nn.SiLU(),
@@ -158,6 +164,11 @@ class UNet(nn.Module):
         if conditions is None:
             described = self.null
         else:
+            if self.part_starts:  # zero for what is not known, and a 1 for each part that is
+                known = ~conditions[:, self.part_starts].isnan()
+                conditions = torch.cat([conditions.nan_to_num(), known.to(conditions.dtype)], dim=1)
+                unknown = ~known.any(dim=1)
+                dropped = unknown if dropped is None else dropped | unknown
             described = self.descriptor(conditions)
             if dropped is not None:
                 described = torch.where(dropped[:, None], self.null, described)
@@ -173,7 +184,7 @@ class UNet(nn.Module):
         t : Tensor of int, shape (n,)
             Zero-based time steps.
         conditions : Tensor, shape (n, N), or None
-            Descriptors, min–max scaled to [0, 1]; None withholds them all.
+            Descriptors, min–max scaled to [0, 1], parts that are not asked for NaN; None withholds them all.
         dropped : Tensor of bool, shape (n,), optional
             Where true, this row's descriptor is withheld.
 

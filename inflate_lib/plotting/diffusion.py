@@ -126,6 +126,36 @@ def plot_losses(histories: Mapping[str, Mapping[str, list]]):
     return fig
 
 
+def plot_losses_in_time(times, own, others: Mapping[str, np.ndarray]):
+    """Squared error (k,) at time steps (k,) with the own descriptor, and by how much it grows with another or none."""
+    fig, (left, right) = figure(1, 2, height=5.8)
+    left.semilogy(times, own, "-o", color=COLOURS.wall, markersize=3)
+    left.set(xlabel="$t$", ylabel="squared error per pixel")
+    for (name, losses), style, colour in zip(others.items(), LINE_STYLES, (COLOURS.target, COLOURS.wall), strict=False):
+        right.plot(times, 1e3 * (losses - own), style, marker="o", markersize=3, color=colour, label=name)
+    right.axhline(0, color=COLOURS.ghost, linewidth=0.8)
+    right.set(xlabel="$t$", ylabel=r"growth of the error ($10^{-3}$)")
+    right.legend()
+    return fig
+
+
+def plot_answers(answers: Mapping[str, tuple]):
+    """How a model answers: achieved against wanted, the fitted line, and the diagonal, one panel for each setting.
+
+    ``answers`` maps a title to (wanted (n,), achieved (n,), function of wanted that was fitted).
+    """
+    fig, axes = figure(1, len(answers), height=6.2, sharex=True, sharey=True, squeeze=False)
+    for ax, (title, (wanted, achieved, fitted)) in zip(axes[0], answers.items(), strict=True):
+        ends = np.array([wanted.min(), wanted.max()])
+        ax.plot(ends, ends, ":", color=COLOURS.wall, label="achieved = wanted")
+        ax.plot(wanted, achieved, "o", color=COLOURS.wall, markersize=2, alpha=0.5)
+        ax.plot(ends, fitted(ends), "-", color=COLOURS.target, label="fit")
+        ax.set(title=title, xlabel="wanted")
+    axes[0, 0].set(ylabel="achieved")
+    axes[0, 0].legend()
+    return fig
+
+
 def plot_schematic():
     """Fig. 1: how the network is trained, and how it makes structures (drawn, not computed)."""
     fig, ax = figure(height=9.6)

@@ -117,10 +117,12 @@ def plot_distributions(data):
 
 def plot_inflated_gallery(results, titles, columns=6):
     """Inflated structures over their undeformed selves, on one common scale."""
-    rows = -(-len(results) // columns)
+    rows = max(1, -(-len(results) // columns))
     fig, axes = figure(rows, columns, height=3.6 * rows, sharex=True, sharey=True, squeeze=False)
     for ax in axes.flat:
         picture_axes(ax)
+    if not results:
+        return fig
     for ax, result, title in zip(axes.flat, results, titles, strict=False):
         draw_inflated(ax, result)
         ax.set_title(title, fontsize=8)

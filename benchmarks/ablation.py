@@ -1,0 +1,84 @@
+"""What in the training matters: one thing changed at a time, a small budget, several seeds.
+
+    python benchmarks/ablation.py
+
+trains each variant of the profile's recipe (inflate_lib/ablation.py) for some thousand steps, asks each for the same
+held-out targets, and writes data/reference/ablation.csv, which the chapter "Alternatives" shows, and ablation.json
+beside it, which says where it comes from. Every run is kept in the cache: a script that was stopped goes on where it
+was.
+"""
+
+import argparse
+import itertools
+import time
+
+import pandas as pd
+from joblib import Parallel, delayed
+from stored import store
+
+from inflate_lib import ablation, diffusion, generation
+from inflate_lib.cache import code_version
+from inflate_lib.datasets import simulated_sevens
+from inflate_lib.diffusion import TrainedModel, TrainingConfig
+from inflate_lib.experiments import trained_model_file
+from inflate_lib.generation import held_out_targets
+from inflate_lib.profiles import load_profile
+
+
+def options():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--profile", default="ci", help="whose recipe is varied")
+    parser.add_argument("--steps", type=int, default=3000, help="training steps of each run")
+    parser.add_argument("--seeds", type=int, default=3, help="runs of each variant")
+    parser.add_argument("--targets", type=int, default=200, help="held-out targets")
+    parser.add_argument("--descriptor", default="height")
+    parser.add_argument("--source", default="mnist")
+    parser.add_argument("--jobs", type=int, default=-1, help="runs side by side, one thread each")
+    parser.add_argument("--name", default="ablation", help="of the files in data/reference")
+    return parser.parse_args()
+
+
+def run(variant, seed, training, n_structures, data, targets, common, descriptor):
+    """One row: train, generate, evaluate."""
+    group, name = variant
+    few = data if n_structures is None else data.isel(structure=slice(0, n_structures))
+    path = trained_model_file(descriptor, training, few, common["n_augmented"], seed, threads=1)
+    model = TrainedModel.load(path)
+    row = {"group": group, "variant": name, "seed": seed, "pairs": model.metadata["pairs"]}
+    row |= {"training_seconds": model.metadata["seconds"], "held_out_loss": model.metadata["held_out_loss"]}
+    return row | ablation.evaluate_variant(model, descriptor, data, targets, common["sampling"], seed, n_jobs=1)
+
+
+def main():
+    given = options()
+    common = load_profile(given.profile).common
+    budget = {"epochs": None, "steps": given.steps, "device": "cpu"}
+    training = {k: v for k, v in common["training"].items() if k != "checkpoint_every"} | budget
+    data = simulated_sevens(given.source)
+    targets, _ = held_out_targets(data, given.descriptor, n=given.targets)
+    variants = ablation.training_variants(training)
+    variants = {k: v for k, v in variants.items() if v[1] is None or v[1] < data.sizes["structure"]}
+    start, rows = time.monotonic(), []
+    tasks = (
+        delayed(run)(variant, seed, *variants[variant], data, targets, common, given.descriptor)
+        for variant, seed in itertools.product(variants, range(given.seeds))
+    )
+    for row in Parallel(n_jobs=given.jobs, return_as="generator")(tasks):
+        rows.append(row)
+        print(f"{len(rows)} of {len(variants) * given.seeds}, {time.monotonic() - start:.0f} s: {row}", flush=True)
+    store(
+        pd.DataFrame(rows),
+        given.name,
+        "ablation.py",
+        data=f"{data.attrs['source']}, {data.sizes['structure']} structures",
+        descriptor=given.descriptor,
+        targets=len(targets),
+        training=TrainingConfig.from_dict(training).recipe(),
+        sampling=common["sampling"],
+        n_augmented=common["n_augmented"],
+        learning_code=code_version(diffusion, generation),
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""What a diffusion model has to beat: chance, retrieval, and a conditional variational autoencoder of its own size.
+
+All answer the same targets and are judged by the same pipeline. Chance and retrieval take structures that exist, from
+those that the model was trained on; retrieval is as exact as the data are dense, but never new.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from sklearn.neighbors import NearestNeighbors
+from torch import Tensor, nn
+
+from inflate_lib import augmentation, datasets, learning
+from inflate_lib.cache import cached, code_version, digest
+from inflate_lib.calibration import Calibration
+from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.diffusion import storage
+from inflate_lib.diffusion.training import random_generator
+from inflate_lib.experiments import training_pairs
+from inflate_lib.generation import as_experiment, check_targets, code, judge, training_rows
+
+LATENT = 16  # numbers that the autoencoder describes an image by, besides the descriptor
+TOLD = 16  # width of what it makes of the descriptor
+LEAST_ERROR = 1e-4  # of a pixel, squared: keeps the logarithm of the reconstruction error finite
+
+
+def random_structures(data, descriptor, targets, seed=0):
+    """A real structure for each target, whatever the target, as an experiment (:func:`.generation.as_experiment`)."""
+    rows = np.random.default_rng(seed).choice(training_rows(data), len(targets))
+    return as_experiment(data.isel(structure=rows), descriptor, np.asarray(targets))
+
+
+def retrieved_structures(data, descriptor, targets):
+    """The real structure whose descriptor is nearest to each target, as an experiment.
+
+    Nearest in units of the standard deviation of each component; of axes, in plain distance.
+    """
+    rows, targets = training_rows(data), np.asarray(targets)
+    matrix = descriptor_matrix(data, descriptor)[rows]
+    scale = matrix.std(axis=0) if matrix.shape[1] <= 2 else 1.0
+    found = NearestNeighbors(n_neighbors=1).fit(matrix / scale).kneighbors(targets / scale, return_distance=False)
+    return as_experiment(data.isel(structure=rows[found[:, 0]]), descriptor, targets)
+
+
+# --- conditional variational autoencoder ---------------------------------------------------------------------------
+
+
+class Autoencoder(nn.Module):
+    """Conditional variational autoencoder (Sohn et al. 2015) of images (28, 28), told the descriptor at both ends.
+
+    Parameters
+    ----------
+    n_conditions : int
+        Length N of the descriptor.
+    width : int
+        Channels on 28 pixels a side; twice and four times as many on 14 and on 7.
+    """
+
+    def __init__(self, n_conditions: int, width: int):
+        super().__init__()
+        a, b, c = width, 2 * width, 4 * width
+        self.deepest = c
+        self.told = nn.Sequential(nn.Linear(n_conditions, 64), nn.SiLU(), nn.Linear(64, TOLD), nn.SiLU())
+        self.encoder = nn.Sequential(*_layer(1, a), *_layer(a, b, stride=2), *_layer(b, c, stride=2), nn.Flatten())
+        self.posterior = nn.Linear(49 * c + TOLD, 2 * LATENT)
+        self.unfold = nn.Linear(LATENT + TOLD, 49 * c)
+        up = nn.Upsample(scale_factor=2)
+        self.decoder = nn.Sequential(*_layer(c, b), up, *_layer(b, a), up, nn.Conv2d(a, 1, 3, padding=1))
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of trainable numbers."""
+        return sum(p.numel() for p in self.parameters())
+
+    def encode(self, images: Tensor, conditions: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log variance (n, LATENT) of q(z | x, y)."""
+        told = self.told(conditions)
+        return self.posterior(torch.cat([self.encoder(images[:, None]), told], dim=1)).chunk(2, dim=1)
+
+    def decode(self, z: Tensor, conditions: Tensor) -> Tensor:
+        """Mean image (n, 28, 28) in [0, 1] of p(x | z, y)."""
+        h = self.unfold(torch.cat([z, self.told(conditions)], dim=1)).reshape(-1, self.deepest, 7, 7)
+        return self.decoder(h)[:, 0].sigmoid()
+
+
+def kl_to_standard_normal(mean: Tensor, log_variance: Tensor) -> Tensor:
+    """KL(N(mean, e^log_variance) ‖ N(0, 1)), summed over the last dimension, in nats."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=-1)
+
+
+def reconstruction_nll(images: Tensor, decoded: Tensor) -> Tensor:
+    """−log p(x | z) per image, in nats, of a Gaussian whose variance fits the batch best (Rybkin et al. 2021).
+
+    With σ² the mean squared error of the batch, the mean over the batch is D/2 (ln 2πσ² + 1) for D pixels. The best
+    variance sets the weight of the KL term by itself.
+    """
+    squares = (images - decoded).square().flatten(1)
+    variance = squares.mean().clamp(min=LEAST_ERROR)
+    return 0.5 * (squares / variance + torch.log(2 * torch.pi * variance)).sum(dim=1)
+
+
+@dataclass
+class TrainedAutoencoder:
+    """A trained autoencoder; ``condition_min`` and ``condition_max`` (N,) are the range of the training descriptors."""
+
+    net: Autoencoder
+    condition_min: np.ndarray
+    condition_max: np.ndarray
+    images_seen: int
+    seconds: float
+
+    def scaled(self, conditions):
+        """Descriptors (n, N), min–max scaled as in training, float32."""
+        extent = self.condition_max - self.condition_min
+        return torch.from_numpy((conditions - self.condition_min) / np.where(extent > 0, extent, 1)).float()
+
+    def generate(self, conditions, seed=0):
+        """Images (n, 28, 28) for descriptors (n, N): decoded from z ~ N(0, 1). Image i depends on seed and i."""
+        z = torch.stack([torch.randn(LATENT, generator=random_generator(seed, 6, i)) for i in range(len(conditions))])
+        with torch.inference_mode():
+            return self.net.decode(z, self.scaled(np.asarray(conditions, dtype=float))).numpy()
+
+
+def train_autoencoder(data, descriptor, like, n_augmented, seed=0):
+    """Train the autoencoder that stands beside a diffusion model, or find it trained in the cache.
+
+    It has as many parameters (the nearest width), sees as many images of the same pairs, in batches of the same
+    size.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Simulated structures.
+    descriptor : str
+    like : TrainedModel
+    n_augmented, seed : int
+        See :func:`inflate_lib.experiments.training_pairs`.
+
+    Returns
+    -------
+    TrainedAutoencoder
+    """
+    images, conditions = training_pairs(data, descriptor, n_augmented, seed)
+    low, high = conditions.min(axis=0), conditions.max(axis=0)
+    steps, batch_size = like.config.training_steps(len(images)), like.config.batch_size
+    width = nearest_width(conditions.shape[1], like.net.n_parameters)
+    net = learning.initialised(lambda: Autoencoder(conditions.shape[1], width), seed)
+    trained = TrainedAutoencoder(net, low, high, steps * batch_size, 0.0)
+
+    def make(target, scratch):
+        x, y = torch.from_numpy(images).float() / 255, trained.scaled(conditions)
+
+        def loss(rows, generator):
+            mean, log_variance = net.encode(x[rows], y[rows])
+            z = mean + (log_variance / 2).exp() * torch.randn(mean.shape, generator=generator)
+            bound = reconstruction_nll(x[rows], net.decode(z, y[rows])) + kl_to_standard_normal(mean, log_variance)
+            return bound.mean() / x[0].numel()
+
+        what = f"training the autoencoder ({descriptor})"
+        history, seconds = learning.fit(net, loss, len(x), steps, batch_size, 2e-3, seed, scratch, what)
+        storage.write(target, "autoencoder", net.state_dict(), {"history": history, "seconds": seconds})
+
+    key = {
+        "pairs": digest(images, conditions),
+        "width": width,
+        "steps": steps,
+        "batch_size": batch_size,
+        "seed": seed,
+        "code": code_version(learning, __name__),
+    }
+    path = cached("autoencoder", key, make, ".safetensors")
+    tensors, content = storage.read(path, "autoencoder")
+    storage.fill(net.state_dict(), tensors, path)
+    net.eval()
+    trained.seconds = content["seconds"]
+    return trained
+
+
+def nearest_width(n_conditions, n_parameters):
+    """Width whose autoencoder has the number of parameters nearest to a given one."""
+    return min(range(2, 129), key=lambda width: abs(_count(n_conditions, width) - n_parameters))
+
+
+def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1, calibration=None):
+    """Structures that an autoencoder draws for targets (k, N), one each, as :func:`.generation.run_experiment` does."""
+    targets = check_targets(model, descriptor, targets)
+    told = targets if calibration is None else calibration.told(targets)
+
+    def make(target, scratch):
+        data = judge(model.generate(told, seed), descriptor, targets, n_jobs=n_jobs, folder=scratch)
+        datasets.save_dataset(data, target)
+
+    weights = [value.numpy() for _, value in sorted(model.net.state_dict().items())]
+    key = {
+        "descriptor": descriptor,
+        "model": digest(*weights, model.condition_min, model.condition_max),
+        "targets": digest(targets, told),
+        "seed": seed,
+        "code": [code(), code_version(augmentation, __name__)],
+    }
+    return datasets.load_dataset(cached("experiment", key, make, ".nc"))
+
+
+def calibrate_autoencoder(model, descriptor, data, seed=0, n=200, n_jobs=-1):
+    """Measure how an autoencoder answers (:mod:`inflate_lib.calibration`); None where n is 0 or it hardly listens."""
+    if n == 0:
+        return None
+    known = descriptor_matrix(data, descriptor)[training_rows(data)]
+    targets = known[np.random.default_rng([seed, 5]).permutation(len(known))[:n]]
+    answer = run_autoencoder(model, descriptor, targets, seed + 1_000_003, n_jobs)
+    valid = answer["valid"].values
+    try:
+        return Calibration.fit(targets[valid], descriptor_matrix(answer, descriptor)[valid])
+    except ValueError:
+        return None
+
+
+def _count(n_conditions, width):
+    with torch.device("meta"):
+        return Autoencoder(n_conditions, width).n_parameters
+
+
+def _layer(inputs, outputs, stride=1):
+    return nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1), nn.GroupNorm(1, outputs), nn.SiLU()

@@ -1,0 +1,148 @@
+"""Model cards: what the weights of a profile are, where they come from, and how far they can be trusted."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from inflate_lib.cache import digest
+from inflate_lib.calibration import calibrate
+from inflate_lib.diffusion import TrainedModel
+from inflate_lib.evaluation import score, scores, with_interval
+from inflate_lib.generation import held_out_targets, run_experiment
+
+N_TARGETS = 200  # held-out structures whose descriptors are asked for
+SEED = 1  # of the choice of targets, and of the noise
+
+_CARD = """# Weights of the profile `{profile}`
+
+One conditional diffusion model for each descriptor of an inflated structure, float16 safetensors, for
+`inflate_lib.diffusion.TrainedModel.load`. This page was written by `inflate card {folder}`, which measures what it
+states.
+
+## Data
+
+{source}: {structures} structures that inflate, of which every tenth (those whose index ends in 9) was held out with
+all its flips and shifts; {pairs} pairs of image and descriptor were trained on. Digest of the images: `{data}`. The
+images are not in here.
+
+## Recipe
+
+{recipe}
+
+## Training
+
+{training}
+
+Seconds are wall-clock seconds on the device named; the loss is the mean of the last interval of training, the
+held-out loss the simple loss on the structures that were left out.
+
+## Accuracy
+
+For each model the descriptors of {n} held-out structures were asked for, one structure was drawn for each and
+inflated, and what it achieved was compared with what was asked for; sampling: {sampling}; {calibration}. In
+brackets: 95 % bootstrap intervals. Errors are those of valid structures: drawings of one closed structure that
+converges at each load step.
+
+{accuracy}
+
+## Limits
+
+- The models draw handwritten sevens of 28 × 28 pixels and know nothing else. Descriptors outside the range of the
+  training data (in each file's header) are refused unless asked for explicitly.
+- The descriptors are those of one material, one wall thickness and one pressure. Other conditions need other
+  simulations and other weights.
+- Single structures miss their target by the errors above: simulate what was drawn, and choose. Self-contact of the
+  inflated walls is not modelled.
+- Weights are used for a run only if the recipe and the images are the same to the last bit; otherwise models are
+  trained anew.
+"""
+
+_MEASURES = {
+    "R²": "R²",
+    "median error / target": "median error (%)",
+    "mean error / target": "mean error (%)",
+    "within 5 %": "within 5 % (%)",
+    "median point distance": "median point distance (px)",
+    "valid": "valid (%)",
+}
+
+
+def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, seed=SEED):
+    """Measure the models in a folder on held-out targets, and write the card, ``README.md``, beside them.
+
+    The measured numbers also go into the header of each file, as ``metadata["metrics"]``.
+
+    Parameters
+    ----------
+    folder : path_like
+        With ``<descriptor>.safetensors`` files of one recipe, as ``inflate train --out`` leaves them.
+    data : xarray.Dataset
+        All simulated structures that the models were trained on.
+    sampling : Mapping
+        Options of :func:`inflate_lib.diffusion.generate`.
+    n_calibration : int
+        Structures for :func:`inflate_lib.calibration.calibrate`; 0 for none.
+    n, seed : int
+        Number of held-out targets; seed of their choice and of the noise.
+
+    Returns
+    -------
+    Path
+        The card.
+
+    Raises
+    ------
+    ValueError
+        There are no weights in the folder, or they were trained on other data.
+    """
+    folder = Path(folder)
+    files = sorted(folder.glob("*.safetensors"))
+    if not files:
+        raise ValueError(f"{folder} holds no weights (*.safetensors); inflate train --out {folder} puts them there")
+    training, accuracy = {}, {}
+    for file in files:
+        name, model = file.stem, TrainedModel.load(file)
+        if model.metadata.get("data") != digest(data["image"].values, data["converged"].values):
+            raise ValueError(f"{file} was trained on other data: {model.metadata.get('structures')} structures")
+        calibration = calibrate(model, name, data, sampling, seed, n_calibration) if n_calibration else None
+        targets, _ = held_out_targets(data, name, model, n, seed)
+        experiment = run_experiment(model, name, targets, 1, sampling, seed, calibration=calibration)
+        table = scores(experiment, name, data)
+        rows = table.set_index("measure")[["value", "low", "high"]]
+        accuracy[name] = {
+            title: with_interval(*rows.loc[measure]) for measure, title in _MEASURES.items() if measure in rows.index
+        }
+        about = model.metadata
+        training[name] = {
+            "parameters": f"{model.net.n_parameters:,}",
+            "minutes": f"{about['seconds'] / 60:.1f}",
+            "device": about["device"],
+            "loss": f"{model.history['loss'][-1]:.4f}",
+            "held-out loss": f"{about.get('held_out_loss', float('nan')):.4f}",
+        }
+        about["metrics"] = {measure: score(table, measure) for measure in _MEASURES if measure in rows.index}
+        model.save(file, half=True)
+    recipe = pd.Series(model.config.recipe()).drop("parts").map(str).rename("value").rename_axis("option")
+    how = f"targets calibrated on {n_calibration} training structures (`inflate_lib.calibration`)"
+    card = folder / "README.md"
+    text = _CARD.format(
+        profile=about.get("profile", folder.name),
+        folder=f"data/pretrained/{folder.name}",
+        source={"mnist": "The sevens of the MNIST training files"}.get(about["source"], about["source"]),
+        structures=f"{about['structures']:,}",
+        pairs=f"{about['pairs']:,}",
+        data=about["data"],
+        recipe=recipe.to_frame().to_markdown(),
+        training=_markdown(training),
+        accuracy=_markdown(accuracy),
+        n=n,
+        sampling=", ".join(f"{key} {value}" for key, value in sampling.items()),
+        calibration=how if n_calibration else "the model was told the target itself",
+    )
+    card.write_text(text, encoding="utf-8")
+    return card
+
+
+def _markdown(rows: Mapping) -> str:
+    return pd.DataFrame(rows).T.fillna("–").rename_axis("model").to_markdown()

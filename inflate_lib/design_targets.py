@@ -1,0 +1,392 @@
+"""What a design is asked for: numbers, a medial axis from a file, or a drawn outline; and whether it can be had.
+
+Targets are descriptors of the inflated shape (:mod:`inflate_lib.descriptors`), in lengths of the unit square. Whatever
+contradicts itself is refused, and so is what no structure of the data set comes near.
+"""
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from inflate_lib import contact
+from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, describe, descriptor_matrix
+
+SCALARS = ("height", "width", "area")
+AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
+REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
+MAX_SIZE = 2000  # pixels of a drawing, per side
+PIECES = 32  # straight pieces that stand for one curved segment of an SVG path
+OPEN = 0.01  # gap, relative to the size of a drawing, up to which it counts as closed
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Wanted descriptors of the inflated shape; None where any will do.
+
+    Attributes
+    ----------
+    height, width, area : float, optional
+        Area is that of the convex hull. In lengths and areas of the unit square.
+    axis : (30, 2) float, optional
+        Medial axis, the first point at the origin.
+    outline : (k, 2) float, optional
+        The drawing that the others were measured on, to be shown; its lowest point is at y = 0.
+    """
+
+    height: float | None = None
+    width: float | None = None
+    area: float | None = None
+    axis: np.ndarray | None = None
+    outline: np.ndarray | None = None
+
+    def __post_init__(self):
+        for name in SCALARS:
+            value = getattr(self, name)
+            if value is None:
+                continue
+            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not number or not 0 < value < np.inf:
+                raise ValueError(f"{name} must be a positive number, not {value!r}")
+            object.__setattr__(self, name, float(value))
+        if self.axis is not None:
+            object.__setattr__(self, "axis", check_axis(self.axis))
+        if not self.asked:
+            raise ValueError(f"nothing is asked for: give {', '.join(SCALARS)}, an axis or an outline, one at least")
+
+    @property
+    def asked(self):
+        """Names of the descriptors that are asked for: "height", "width", "area", "axis"."""
+        return tuple(name for name in (*SCALARS, "axis") if getattr(self, name) is not None)
+
+    def vector(self, name):
+        """(N,) the target of one descriptor, NaN where it is not asked for; an axis says what the height is."""
+        if name in ("box", JOINT):
+            return np.concatenate([self.vector(part) for part in (PARTS if name == JOINT else ("height", "width"))])
+        if name == "height" and self.height is None and self.axis is not None:
+            return np.array([axis_height(self.axis)])
+        value = getattr(self, name)
+        return np.full(PARTS[name], np.nan) if value is None else np.ravel(value)
+
+    def as_dict(self):
+        """Plain numbers for JSON, of what is asked for."""
+        return {name: np.asarray(getattr(self, name)).tolist() for name in self.asked}
+
+
+def as_targets(targets):
+    """`targets` as :class:`Targets`: one already, or a mapping from descriptor to value.
+
+    Parameters
+    ----------
+    targets : Targets or Mapping
+        Keys "height", "width", "area", "axis" (30 points, or a polyline from the bottom to the top of the shape), and
+        "outline" (corners of a polygon, which gives all four).
+
+    Raises
+    ------
+    ValueError
+        For an unknown key, or a value that is no target.
+    """
+    if isinstance(targets, Targets):
+        return targets
+    if not isinstance(targets, Mapping):
+        raise ValueError(f"targets must be a mapping such as {{'height': 1.05}}, not {type(targets).__name__}")
+    known = {*SCALARS, "axis", "outline"}
+    if unknown := [name for name in targets if name not in known]:
+        raise ValueError(f"unknown target {unknown[0]!r}; choose among {', '.join(sorted(known))}")
+    given = {name: value for name, value in targets.items() if value is not None}
+    if "outline" not in given:
+        return Targets(**given)
+    if len(given) > 1:
+        raise ValueError("an outline gives height, width, area and axis: leave the others out")
+    return outline_targets(given["outline"])
+
+
+def outline_targets(points):
+    """Targets that a closed outline stands for: its height, width, hull area and medial axis.
+
+    All descriptors look at the convex hull only, so that a dent in the outline is not asked for.
+
+    Parameters
+    ----------
+    points : (k, 2) array_like
+        Corners in order, y upwards, in lengths of the unit square; the last is joined to the first.
+
+    Raises
+    ------
+    ValueError
+        Where it is empty, spans no area, or crosses itself.
+    """
+    points = _points("outline", points)
+    points = points[np.any(points != np.roll(points, 1, axis=0), axis=1)]
+    if len(points) < 3:
+        raise ValueError(f"outline: it is empty; {len(points)} distinct points enclose nothing")
+    if _crosses_itself(points):
+        raise ValueError("outline: it crosses itself; draw the border of the inflated shape as one simple closed curve")
+    try:
+        shape = describe(points)
+    except ValueError:
+        raise ValueError("outline: it is empty; its points lie on one line") from None
+    return Targets(shape.height, shape.width, shape.hull_area, shape.medial_axis, points - [0, points[:, 1].min()])
+
+
+def read_targets(height=None, width=None, area=None, axis=None, outline=None, unit=1.0):
+    """Targets from numbers and files; None where not asked for. See :func:`read_axis` and :func:`read_outline`.
+
+    Raises
+    ------
+    ValueError
+        Where a file is no such file, where nothing is asked for, or more than an outline leaves open.
+    """
+    given = {"height": height, "width": width, "area": area}
+    given["axis"] = None if axis is None else read_axis(axis)
+    given["outline"] = None if outline is None else read_outline(outline, unit)
+    try:
+        return as_targets(given)
+    except ValueError as error:
+        where = f"{outline}: " if outline is not None and str(error).startswith("outline") else ""
+        raise ValueError(f"{where}{error}") from None
+
+
+def check_axis(points):
+    """A medial axis (30, 2) from points, or a ValueError.
+
+    Thirty points at equal increments of height are taken as they are (the thirtieth lies one increment below the top,
+    as in :func:`inflate_lib.descriptors.medial_axis`). Any other points are the corners of a line from the bottom of
+    the shape to its top, on which the thirty are placed.
+    """
+    points = _points("axis", points)
+    if len(points) < 2:
+        raise ValueError(f"axis: two points at least are needed, from the bottom to the top, not {len(points)}")
+    rise = np.diff(points[:, 1])
+    if not np.all(rise > 0):
+        row = int(np.argmax(rise <= 0)) + 2
+        raise ValueError(f"axis: its points must rise from the bottom to the top; point {row} does not")
+    points = points - points[0]
+    if len(points) == AXIS_POINTS and np.ptp(rise) <= AGREE * rise.mean():
+        return points
+    y = points[-1, 1] * np.arange(AXIS_POINTS) / AXIS_POINTS
+    return np.column_stack([np.interp(y, points[:, 1], points[:, 0]), y])
+
+
+def axis_height(axis):
+    """Height of the shape that a medial axis (30, 2) belongs to: the axis ends one increment below the top."""
+    return axis[-1, 1] * AXIS_POINTS / (AXIS_POINTS - 1)
+
+
+def read_axis(path):
+    """Medial axis (30, 2) from a CSV file: two columns x, y, with or without a heading, in lengths of the unit square.
+
+    Raises
+    ------
+    ValueError
+        Naming the file and the line, where it is something else; see also :func:`check_axis`.
+    """
+    path = Path(path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [(number, row) for number, row in enumerate(csv.reader(file), start=1) if any(map(str.strip, row))]
+    except (OSError, ValueError, csv.Error) as error:
+        raise ValueError(f"{path} cannot be read as a CSV file: {error}") from None
+    if rows and [word.strip().lower() for word in rows[0][1]] == ["x", "y"]:
+        del rows[0]
+    points = []
+    for number, row in rows:
+        try:
+            x, y = (float(word) for word in row)
+        except ValueError:
+            raise ValueError(f"{path}, line {number}: two numbers x,y are needed, not {','.join(row)!r}") from None
+        points.append((x, y))
+    try:
+        return check_axis(np.reshape(points, (-1, 2)))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def read_outline(path, unit):
+    """Corners (k, 2) of a drawn outline, y upwards, in lengths of the unit square.
+
+    Parameters
+    ----------
+    path : path_like
+        ``.svg`` with one closed shape (curves are followed by short straight pieces), or a picture in two colours, the
+        background being that of its corners; a line drawn around the shape and a filled shape mean the same.
+    unit : float
+        Units of the drawing (user units of the SVG, pixels of the picture) in one side of the unit square, which is the
+        28-pixel frame of the undeformed structure.
+
+    Raises
+    ------
+    ValueError
+        Naming the file, where it cannot be read, or holds no shape or several.
+    """
+    path = Path(path)
+    if not isinstance(unit, int | float) or not 0 < unit < np.inf:
+        raise ValueError(f"the unit of the outline must be a positive number, not {unit!r}")
+    if not path.is_file():
+        raise ValueError(f"{path} does not exist")
+    points = _svg_points(path) if path.suffix.lower() == ".svg" else _picture_points(path)
+    return points * [1, -1] / unit
+
+
+def errors(targets, shape):
+    """How far a shape misses each target, relative to the target.
+
+    Parameters
+    ----------
+    targets : Targets
+    shape : Descriptors
+
+    Returns
+    -------
+    dict
+        Name → |achieved − target| / target; for the axis the mean distance of its points over the height that the axis
+        belongs to.
+    """
+    return {name: float(_miss(targets, name, shape.vector(name)[None])[0]) for name in targets.asked}
+
+
+def check_reach(targets, data):
+    """Refuse targets that contradict each other, or that no structure of the data set comes near.
+
+    Parameters
+    ----------
+    targets : Targets
+    data : xarray.Dataset
+        Simulated structures, from :func:`inflate_lib.simulate_dataset`.
+
+    Raises
+    ------
+    ValueError
+        With the reachable range and the nearest target within reach.
+    """
+    data = data.isel(structure=np.flatnonzero(data["converged"].values))
+    values = {name: descriptor_matrix(data, name) for name in targets.asked}
+    miss = np.max([_miss(targets, name, values[name]) for name in targets.asked], axis=0)
+    nearest = int(np.argmin(miss))
+    problem = contradiction(targets)
+    for name in SCALARS:
+        wanted = getattr(targets, name)
+        if not problem and wanted is not None:
+            least, most = values[name].min() * (1 - AGREE), values[name].max() * (1 + AGREE)
+            problem = "" if least <= wanted <= most else f"{name} {wanted:.4g} is out of reach"
+    if not problem and miss[nearest] > REACH:
+        together = "the axis" if targets.asked == ("axis",) else "together they"
+        problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
+    if not problem:
+        return
+    shown = [name for name in SCALARS if name in targets.asked or "axis" in targets.asked]
+    ranges = {name: descriptor_matrix(data, name) for name in shown}
+    reach = ", ".join(f"{name} {v.min():.3f} to {v.max():.3f}" for name, v in ranges.items())
+    if len(targets.asked) == 1 and targets.asked[0] in SCALARS:
+        (name,) = targets.asked
+        there = f"{name} {np.clip(getattr(targets, name), values[name].min(), values[name].max()):.3f}"
+    else:
+        there = ", ".join(f"{name} {v[nearest, 0]:.3f}" for name, v in ranges.items())
+        if "axis" in targets.asked:
+            lean = np.abs(values["axis"][nearest].reshape(-1, 2)[:, 0]).max()
+            there += f" and an axis that moves {lean:.3f} sideways"
+    raise ValueError(
+        f"{problem}. The {len(miss)} inflated structures of the data set reach {reach}; the nearest reachable target "
+        f"is {there}."
+    )
+
+
+def contradiction(targets):
+    """Why no shape at all can meet the targets, or an empty text."""
+    height, width, area = (targets.vector(name)[0] for name in SCALARS)
+    if targets.axis is not None:
+        if abs(axis_height(targets.axis) / height - 1) > AGREE:
+            return f"height {height:.4g} contradicts the axis, which belongs to height {axis_height(targets.axis):.4g}"
+        if (span := np.ptp(targets.axis[:, 0])) > width:
+            return f"width {width:.4g} contradicts the axis, which alone is {span:.4g} wide"
+    if area > height * width * (1 + AGREE):
+        return f"area {area:.4g} is larger than the box of height {height:.4g} and width {width:.4g}"
+    return ""
+
+
+def _miss(targets, name, values):
+    """Relative errors (n,) of descriptor vectors (n, N)."""
+    wanted = targets.vector(name)
+    if name != "axis":
+        return np.abs(values[:, 0] / wanted[0] - 1)
+    apart = (values - wanted).reshape(len(values), -1, 2)
+    return np.linalg.norm(apart, axis=-1).mean(axis=1) / axis_height(targets.axis)
+
+
+def _points(name, points):
+    try:
+        points = np.array(points, dtype=float)
+    except (TypeError, ValueError, RuntimeError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"{name}: points of shape (k, 2) are needed")
+    if not np.isfinite(points).all():
+        raise ValueError(f"{name}: some coordinates are NaN or infinite")
+    return points
+
+
+def _crosses_itself(points):
+    """Whether a closed polygon crosses itself, or comes back to a corner."""
+    numbers = np.arange(len(points))
+    if len(np.unique(points, axis=0)) < len(points):
+        return True
+    return bool(contact._count_crossings(points, np.column_stack([numbers, np.roll(numbers, -1)])))
+
+
+def _svg_points(path):
+    """Corners of the one closed curve in an SVG file, in user units, y downwards."""
+    from xml.etree import ElementTree
+
+    import svgelements
+
+    try:
+        root = ElementTree.parse(path).getroot()
+        for name in ("width", "height", "viewBox"):  # they would turn user units into pixels of a screen
+            root.attrib.pop(name, None)
+        drawing = svgelements.SVG.parse(io.BytesIO(ElementTree.tostring(root)))
+        shapes = [shape for shape in drawing.elements() if isinstance(shape, svgelements.Shape)]
+        drawn = [svgelements.Path(*shape.segments(transformed=True)) for shape in shapes]
+        curves = [list(curve) for shape in drawn for curve in shape.as_subpaths() if len(curve) > 1]
+        curves = [[segment for segment in curve if not isinstance(segment, svgelements.Move)] for curve in curves]
+    except (ElementTree.ParseError, ValueError, TypeError, AttributeError, KeyError, IndexError, OSError) as error:
+        raise ValueError(f"{path} cannot be read as an SVG file: {error}") from None
+    if not curves:
+        raise ValueError(f"{path}: the outline is empty; there is no path, polygon, circle, … in it")
+    if len(curves) > 1:
+        raise ValueError(f"{path}: {len(curves)} separate curves; one outline is needed")
+    points = [curves[0][0].start]
+    for segment in curves[0]:
+        straight = isinstance(segment, svgelements.Line | svgelements.Close)
+        points += [segment.end] if straight else [segment.point(t) for t in np.arange(1, PIECES + 1) / PIECES]
+    points = np.array([(point.x, point.y) for point in points], dtype=float)
+    if np.linalg.norm(points[-1] - points[0]) > OPEN * np.ptp(points, axis=0).max():
+        raise ValueError(f"{path}: the outline is open; close it, so that it has an inside")
+    return points[:-1]
+
+
+def _picture_points(path):
+    """Corners of the border of the one shape in a picture, in pixels, y downwards."""
+    from skimage.measure import find_contours
+
+    from inflate_lib.simulate import read_picture
+
+    grey = np.asarray(read_picture(path))
+    if max(grey.shape) > MAX_SIZE:
+        raise ValueError(f"{path} is {grey.shape[1]} × {grey.shape[0]} pixels; {MAX_SIZE} per side are enough")
+    bright = grey > 127
+    corners = bright[[0, 0, -1, -1], [0, -1, 0, -1]]
+    if corners.any() != corners.all():
+        raise ValueError(f"{path}: its four corners must be background, all dark or all bright")
+    shape = ndimage.binary_fill_holes(bright != corners[0])
+    pieces = ndimage.label(shape, np.ones((3, 3)))[1]
+    if pieces == 0:
+        raise ValueError(f"{path}: the outline is empty; all of the picture has one colour")
+    if pieces > 1:
+        raise ValueError(f"{path}: {pieces} separate shapes; one outline is needed")
+    (border,) = find_contours(np.pad(shape, 1).astype(float), 0.5, fully_connected="high")
+    return border[:-1, ::-1] - 0.5  # from centres of padded pixels to edges of pixels

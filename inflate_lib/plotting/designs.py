@@ -1,0 +1,80 @@
+"""The contact sheet of an inverse design: every structure before and after inflation, with what was asked for."""
+
+import numpy as np
+from matplotlib.patches import Rectangle
+from scipy.spatial import ConvexHull
+
+from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label, place_axis
+from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure, picture_axes
+
+NAMES = {"height": "h", "width": "w", "area": "A", "axis": "axis"}
+
+
+def plot_designs(designs, columns=6):
+    """Contact sheet: each structure undeformed, below it inflated with the target in orange, its errors and its peak
+    stress.
+
+    Parameters
+    ----------
+    designs : inflate_lib.inverse_design.Designs
+    columns : int
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    columns = min(columns, max(1, len(designs.designs)))
+    rows = -(-max(1, len(designs.designs)) // columns)
+    width = max(6.0, TEXT_WIDTH * columns / 6)
+    fig, axes = figure(2 * rows, columns, width=width, height=6.6 * rows, height_ratios=[1, 1.5] * rows, squeeze=False)
+    for ax in axes.flat:
+        picture_axes(ax)
+    if not designs.designs:
+        axes[0, 0].set_title("no structure was found")
+        return fig
+    deformed = [one.result.deformed() for one in designs.designs]
+    wide = 1.12 * max([*(np.ptp(nodes[:, 0]) for nodes in deformed), designs.targets.vector("width")[0]], key=_known)
+    tall = 1.06 * max([*(nodes[:, 1].max() for nodes in deformed), designs.targets.vector("height")[0]], key=_known)
+    for number, (one, nodes) in enumerate(zip(designs.designs, deformed, strict=True)):
+        row, column = divmod(number, columns)
+        above, below = axes[2 * row, column], axes[2 * row + 1, column]
+        draw_label(above, one.label)
+        above.set_title(f"{number + 1}" + ("" if one.within else "  (missed)"), loc="left")
+        draw_inflated(below, one.result, ghost=False)
+        draw_targets(below, designs.targets, nodes)
+        middle = (nodes[:, 0].min() + nodes[:, 0].max()) / 2
+        bottom = min(nodes[:, 1].min(), 0) - 0.08
+        below.set(xlim=(middle - wide / 2, middle + wide / 2), ylim=(bottom, tall))
+        misses = [f"{NAMES[name]} {100 * value:.2f} %" for name, value in one.errors.items()]
+        lines = [", ".join(misses[start : start + 2]) for start in range(0, len(misses), 2)]
+        below.set_xlabel("\n".join([*lines, f"stress {one.peak_stress:.3f}"]), fontsize=7)
+    return fig
+
+
+def draw_targets(ax, targets, nodes):
+    """What was asked for, drawn over an inflated structure with deformed nodes (n, 2).
+
+    An outline as it is; else height and width as lines or, both together, as a box; an axis with its points. An area
+    has no place in the picture.
+    """
+    (left, bottom), (right, top) = nodes.min(axis=0), nodes.max(axis=0)
+    middle = (left + right) / 2
+    style = {"color": COLOURS.target, "linewidth": 1.2, "zorder": 4}
+    if targets.outline is not None:
+        closed = np.vstack([targets.outline, targets.outline[:1]])
+        shift = [middle - (closed[:, 0].min() + closed[:, 0].max()) / 2, bottom]
+        ax.plot(*(closed + shift).T, **style)
+    elif targets.height is not None and targets.width is not None:
+        h, w = targets.height, targets.width
+        ax.add_patch(Rectangle((middle - w / 2, bottom), w, h, fill=False, clip_on=False, linestyle="--", **style))
+    elif targets.height is not None:
+        ax.plot([left - 0.05, right + 0.05], [bottom + targets.height] * 2, linestyle="--", **style)
+    elif targets.width is not None:
+        for x in (middle - targets.width / 2, middle + targets.width / 2):
+            ax.plot([x, x], [bottom, top], linestyle="--", **style)
+    if targets.axis is not None:
+        draw_axis(ax, place_axis(targets.axis, nodes[ConvexHull(nodes).vertices]), size=1.8)
+
+
+def _known(value):
+    return -np.inf if np.isnan(value) else value

@@ -1,0 +1,173 @@
+"""Pictures of what the paper leaves out: held-out targets, novelty, baselines, best of n."""
+
+import numpy as np
+
+from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.evaluation import errors
+from inflate_lib.plotting.style import COLOURS, figure, picture_axes
+
+STYLES = {
+    "height": ("-", "o", COLOURS.wall),
+    "width": ("--", "^", COLOURS.target),
+    "box": ("-.", "s", COLOURS.medium),
+    "area": (":", "D", COLOURS.high),
+    "axis": ("-", "v", COLOURS.ink),
+}
+#: Panels of scalars: title, descriptor, component.
+SCALARS = (("height $h$", "height", 0), ("width $w$", "width", 0), ("area $A$", "area", 0))
+BOXES = (("box: $h$", "box", 0), ("box: $w$", "box", 1))
+
+
+def plot_held_out(experiments):
+    """Achieved against target for held-out targets, one dot per target; of axes, the distribution of distances.
+
+    Parameters
+    ----------
+    experiments : Mapping
+        The five descriptors → experiment with one structure per target.
+    """
+    fig, axes = figure(2, 3, height=11.0)
+    for ax, (title, name, column) in zip(axes.flat, SCALARS + BOXES, strict=False):
+        experiment = experiments[name]
+        valid = experiment["valid"].values
+        target = experiment["target"].values[valid, column]
+        achieved = descriptor_matrix(experiment, name)[valid, column]
+        ax.plot(target, achieved, "o", markersize=2.5, alpha=0.6)
+        _diagonal(ax, np.concatenate([target, achieved]))
+        ax.set(title=title, xlabel="target", ylabel="achieved")
+    ax, experiment = axes.flat[-1], experiments["axis"]
+    distance = errors(experiment, "axis")[experiment["valid"].values]
+    ax.hist(distance, bins=24, color=COLOURS.void, edgecolor=COLOURS.wall, linewidth=0.6)
+    if len(distance):
+        ax.axvline(np.median(distance), color=COLOURS.target, linestyle="--", label="median")
+        ax.legend()
+    ax.set(title="axis", xlabel="mean point distance (px)", ylabel="structures")
+    return fig
+
+
+def plot_novelty(distances, yardstick):
+    """Distance to the nearest training structure: generated (blue outline) beside held-out real ones (grey).
+
+    Parameters
+    ----------
+    distances : Mapping
+        Descriptor → (n,) distances of what was generated for it.
+    yardstick : (m,) array_like
+        The same of held-out structures.
+    """
+    fig, axes = figure(1, len(distances), height=5.2, sharey=True, squeeze=False)
+    bins = np.linspace(0, 1.02 * np.concatenate([yardstick, *distances.values()]).max(), 26)
+    for ax, (name, values) in zip(axes[0], distances.items(), strict=True):
+        ax.hist(yardstick, bins, weights=_even(yardstick), color="#D9D9D9", label="held-out, real")
+        ax.hist(values, bins, weights=_even(values), histtype="step", color=COLOURS.wall, label="generated")
+        ax.set(title=name, xlabel="distance")
+    axes[0, 0].set_ylabel("share")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    fig.legend(handles, labels, loc="outside upper right", ncols=2)
+    return fig
+
+
+def plot_neighbours(images, neighbours, distances, titles=("generated", "nearest training structure")):
+    """Images in the upper row, their neighbours in the lower, and their distances between the two."""
+    fig, axes = figure(2, len(images), height=2 * 17.0 / len(images) + 1.0, squeeze=False)
+    for column, (image, neighbour, distance) in enumerate(zip(images, neighbours, distances, strict=True)):
+        picture_axes(axes[0, column]).imshow(image, vmin=0, vmax=_white(images))
+        picture_axes(axes[1, column]).imshow(neighbour, vmin=0, vmax=_white(neighbours))
+        axes[0, column].set_xlabel(f"{distance:.3f}")
+    for ax, title in zip(axes[:, 0], titles, strict=True):
+        ax.set_ylabel(title)
+    return fig
+
+
+def plot_baselines(table, unit):
+    """Median error of each way to answer the targets, with its interval, one panel per descriptor.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Columns descriptor, method, median, low, high.
+    unit : Mapping
+        Descriptor → unit of its error.
+    """
+    names, methods = list(dict.fromkeys(table["descriptor"])), list(dict.fromkeys(table["method"]))
+    fig, axes = figure(1, len(names), height=5.5, sharey=True, squeeze=False)
+    for ax, name in zip(axes[0], names, strict=True):
+        here = table[table["descriptor"] == name].set_index("method")
+        for place, method in enumerate(methods):
+            if method not in here.index:
+                continue
+            row = here.loc[method]
+            colour = COLOURS.target if place == 0 else COLOURS.wall
+            ax.plot([row["low"], row["high"]], [place, place], color=colour, linewidth=2.2, alpha=0.6)
+            ax.plot(row["median"], place, "o", color=colour, markersize=5)
+        ax.set(title=name, xlabel=f"median error ({unit[name]})", xlim=(0, None))
+        ax.grid(axis="x", color="#E6E6E6")
+    axes[0, 0].set_yticks(range(len(methods)), methods)
+    axes[0, 0].invert_yaxis()
+    return fig
+
+
+def plot_selection(tables):
+    """Median error of the best of n candidates against n, and against the seconds that they take.
+
+    Parameters
+    ----------
+    tables : Mapping
+        Descriptor → table of :func:`inflate_lib.selection.selection`. Solid marks: ranked by simulation; hollow:
+        by the surrogate.
+    """
+    scalars = {name: table for name, table in tables.items() if name != "axis"}
+    panels = [(scalars, "n", "candidates $n$", "median error (%)")]
+    panels += [(scalars, "seconds", "core seconds per target", "median error (%)")]
+    if "axis" in tables:
+        panels += [({"axis": tables["axis"]}, "n", "candidates $n$", "median distance (px)")]
+    fig, axes = figure(1, len(panels), height=6.4, squeeze=False)
+    for ax, (shown, across, xlabel, ylabel) in zip(axes[0], panels, strict=True):
+        for name, table in shown.items():
+            _, marker, colour = STYLES[name]
+            for by, part in table.groupby("by"):
+                solid = by == "simulation"
+                part = part[np.isfinite(part["median"])]
+                ax.plot(part[across], part["median"], "-" if solid else ":", marker=marker, color=colour, markersize=4,
+                        markerfacecolor=colour if solid else "white", label=f"{name}, {by}")  # fmt: skip
+        ax.set(xscale="log", yscale="log", xlabel=xlabel, ylabel=ylabel)
+    handles = {}
+    for ax in axes[0]:
+        handles |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+    fig.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5)
+    return fig
+
+
+def plot_surrogate(pairs):
+    """What the surrogate predicts against what the simulation finds, for height, width and area.
+
+    Parameters
+    ----------
+    pairs : Mapping
+        Name of a set of structures → {descriptor: (simulated, predicted)}, each (n,); the first set below the others.
+    """
+    fig, axes = figure(1, len(SCALARS), height=6.0)
+    for ax, (title, name, _) in zip(axes, SCALARS, strict=True):
+        everything = []
+        for (label, sets), colour, marker in zip(pairs.items(), (COLOURS.ghost, COLOURS.target), "o^", strict=False):
+            simulated, predicted = sets[name]
+            ax.plot(simulated, predicted, marker, color=colour, markersize=2.5, alpha=0.6, label=label)
+            everything += [simulated, predicted]
+        _diagonal(ax, np.concatenate(everything))
+        ax.set(title=title, xlabel="simulated", ylabel="predicted")
+    axes[0].legend(loc="upper left")
+    return fig
+
+
+def _diagonal(ax, values):
+    if len(values):
+        span = np.array([np.nanmin(values), np.nanmax(values)])
+        ax.plot(span, span, "--", color=COLOURS.target, linewidth=1, zorder=1)
+
+
+def _even(values):
+    return np.full(len(values), 1 / max(1, len(values)))
+
+
+def _white(images):
+    return 255 if np.asarray(images).dtype == np.uint8 else 1.0

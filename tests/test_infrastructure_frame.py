@@ -1,0 +1,117 @@
+"""The frame of the book: where each page says its numbers come from, and what it prints with."""
+
+import json
+import os
+import stat
+from types import SimpleNamespace
+
+import pytest
+import yaml
+
+from inflate_lib import book, paths, printing
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path / "pretrained")
+    monkeypatch.setattr(paths, "BOOK", tmp_path / "book")
+    monkeypatch.setattr(paths, "EXECUTED", tmp_path / "book" / "notebooks")
+    monkeypatch.setattr(paths, "FIGURES", tmp_path / "figures")
+    paths.EXECUTED.mkdir(parents=True)
+    return tmp_path
+
+
+def executed(name, profile, source):
+    stamp = {"inflate": {"fingerprint": {"profile": profile, "data source": source}}}
+    (paths.EXECUTED / f"{name}.ipynb").write_text(json.dumps({"cells": [], "metadata": stamp}))
+
+
+def test_a_page_knows_its_run_only_from_its_own_notebook(home):
+    executed("01_first", "ci", "mnist")
+    assert book.executed_under(paths.EXECUTED / "01_first.ipynb") == {"profile": "ci", "source": "mnist"}
+    (paths.EXECUTED / "02_second.ipynb").write_text("{}")
+    for name in ("02_second.ipynb", "absent.ipynb", "../index.md"):
+        assert book.executed_under(paths.EXECUTED / name) is None
+
+
+@pytest.mark.parametrize("profile", ["ci", "laptop", "paper"])
+def test_the_badge_names_profile_and_data_and_has_a_colour_of_its_own(profile):
+    line = book.badge({"profile": profile, "source": "digits"})
+    assert line.astext().startswith(f"{profile} profile")
+    assert "embedded" in line.astext()
+    css = (paths.BOOK / "_static" / "book.css").read_text(encoding="utf-8")
+    assert f".{line['classes'][-1]} {{ --profile:" in css
+
+
+def test_the_footer_names_profile_commit_and_date(monkeypatch):
+    monkeypatch.setattr(book, "code_state", lambda: {"commit": "0123456789abcdef", "uncommitted_changes": True})
+    text = book.footer("laptop")
+    assert "<strong>laptop</strong>" in text
+    assert "commit 0123456789 with uncommitted changes" in text
+    assert text.rstrip("</p>")[-10:].count("-") == 2
+
+
+def test_what_depends_on_the_run_comes_from_its_own_profile(home):
+    """The picture and the data of another profile must not get into the book."""
+    for profile in ("ci", "laptop"):
+        folder = paths.FIGURES / profile
+        folder.mkdir(parents=True)
+        (folder / "glance.png").write_text("")
+        (folder / "explorer_data.js").write_text("")
+    executed("19_explorer", "laptop", "mnist")
+    config = SimpleNamespace(html_theme_options={}, myst_substitutions={}, html_static_path=["_static"])
+    book._configure(None, config)
+    assert "../figures/laptop/glance.png" in config.myst_substitutions["hero"]
+    assert ":alt:" in config.myst_substitutions["hero"]
+    assert config.html_static_path == ["_static", str(paths.FIGURES / "laptop" / "explorer_data.js")]
+    (paths.FIGURES / "laptop" / "glance.png").unlink()
+    config = SimpleNamespace(html_theme_options={}, myst_substitutions={}, html_static_path=["_static"])
+    book._configure(None, config)
+    assert config.myst_substitutions["hero"] == ""
+
+
+def test_model_cards_come_into_their_page_one_level_down(home):
+    noted = []
+    app = SimpleNamespace(env=SimpleNamespace(note_dependency=noted.append))
+    page = [f"# Weights\n\n{book.MODEL_CARDS}\n"]
+    book._add_model_cards(app, "data_and_weights", page)
+    assert book.NO_WEIGHTS in page[0]
+    (paths.PRETRAINED / "ci").mkdir(parents=True)
+    card = paths.PRETRAINED / "ci" / "README.md"
+    card.write_text("# Card\n\n## Recipe\n\n```python\n# a comment\n```\n\n# Limits\n")
+    page = [f"# Weights\n\n{book.MODEL_CARDS}\n"]
+    book._add_model_cards(app, "data_and_weights", page)
+    assert page[0] == "# Weights\n\n## Card\n\n### Recipe\n\n```python\n# a comment\n```\n\n## Limits\n\n"
+    assert noted == [str(card)]
+
+
+def test_every_standing_page_is_in_the_contents():
+    contents = yaml.safe_load((paths.BOOK / "_toc.yml").read_text(encoding="utf-8"))
+    listed = {chapter["file"] for part in contents["parts"] for chapter in part["chapters"]} | {contents["root"]}
+    assert {path.stem for path in paths.BOOK.glob("*.md")} <= listed
+
+
+def test_a_browser_is_found_where_it_is_named_or_usual(tmp_path, monkeypatch):
+    program = tmp_path / "chromium"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.delenv("INFLATE_CHROMIUM", raising=False)
+    monkeypatch.setattr(printing, "APPLICATIONS", ())
+    monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
+    assert printing.find_chromium() is None
+    with pytest.raises(RuntimeError, match="no Chromium or Chrome found; install one"):
+        printing.print_book()
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert printing.find_chromium() == program
+    monkeypatch.setenv("INFLATE_CHROMIUM", str(tmp_path / "absent"))
+    with pytest.raises(ValueError, match=r"INFLATE_CHROMIUM is .*absent, which is no program"):
+        printing.find_chromium()
+
+
+def test_a_browser_that_prints_nothing_is_an_error(tmp_path):
+    program = tmp_path / "chromium"
+    program.write_text("#!/bin/sh\necho out of paper >&2\n")
+    program.chmod(0o755)
+    with pytest.raises(RuntimeError, match=r"wrote no PDF of .*page\.html: out of paper"):
+        printing.print_page(program, tmp_path / "page.html", tmp_path / "book.pdf")
+    assert os.listdir(tmp_path) == ["chromium"]
