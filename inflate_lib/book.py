@@ -107,10 +107,17 @@ def _resolve_public_name(app, env, node, contnode):
     return env.get_domain("py").resolve_xref(env, *place)
 
 
+def _leave_out_thebe(app, page, template, context, doctree):
+    """Jupyter Book puts the scripts of a launch button that we do not offer on every page, twice: an error there."""
+    scripts = context.get("script_files", [])
+    context["script_files"] = [script for script in scripts if "thebe" not in f"{script.filename} {script.attributes}"]
+
+
 def setup(app):
     """Connect to Sphinx."""
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)
     app.connect("doctree-read", _add_badge)
     app.connect("missing-reference", _resolve_public_name)
+    app.connect("html-page-context", _leave_out_thebe)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

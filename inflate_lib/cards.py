@@ -34,8 +34,9 @@ images are not in here.
 
 {training}
 
-Seconds are wall-clock seconds on the device named; the loss is the mean of the last interval of training, the
-held-out loss the simple loss on the structures that were left out.
+Minutes are those of the clock for one model, on the device named. On a CPU as many models as there are cores train
+side by side, with one thread each, so that two cores trained all of these in half the sum. The loss is the mean of
+the last interval of training, the held-out loss the simple loss on the structures that were left out.
 
 ## Accuracy
 

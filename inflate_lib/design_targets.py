@@ -244,8 +244,8 @@ def errors(targets, shape):
     Returns
     -------
     dict
-        Name → |achieved − target| / target; for the axis the mean distance of its points over the height that the axis
-        belongs to.
+        Name → ``|achieved − target| / target``; for the axis the mean distance of its points over the height that
+        the axis belongs to.
     """
     return {name: float(_miss(targets, name, shape.vector(name)[None])[0]) for name in targets.asked}
 

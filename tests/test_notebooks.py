@@ -44,6 +44,7 @@ GOLDEN = {
     "15_speed": {"factorisations_ten": (149, 0.02), "factorisations_one": (53, 0.04)},
     "16_accuracy": {"n_targets": (4, 0), "yardstick_smallest": (0.08173646, 1e-5)},
     "17_alternatives": {"median_height_retrieval": (0.26193822, 1e-6)},
+    "18_design": {"reach_height": (1.0581836645, 1e-8)},
     "19_explorer": {"n_targets": (13, 0)},
     "20_extending": {"n_learned": (20, 0)},
 }

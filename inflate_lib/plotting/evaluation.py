@@ -67,12 +67,15 @@ def plot_novelty(distances, yardstick):
     return fig
 
 
-def plot_neighbours(images, neighbours, distances, titles=("generated", "nearest training structure")):
+def plot_neighbours(images, neighbours, distances, titles=("generated", "nearest")):
     """Images in the upper row, their neighbours in the lower, and their distances between the two."""
-    fig, axes = figure(2, len(images), height=2 * 17.0 / len(images) + 1.0, squeeze=False)
+    columns = max(8, len(images))  # fewer are no larger
+    fig, axes = figure(2, columns, height=2 * 17.0 / columns + 1.0, squeeze=False)
+    for ax in axes.flat:
+        picture_axes(ax)
     for column, (image, neighbour, distance) in enumerate(zip(images, neighbours, distances, strict=True)):
-        picture_axes(axes[0, column]).imshow(image, vmin=0, vmax=_white(images))
-        picture_axes(axes[1, column]).imshow(neighbour, vmin=0, vmax=_white(neighbours))
+        axes[0, column].imshow(image, vmin=0, vmax=_white(images))
+        axes[1, column].imshow(neighbour, vmin=0, vmax=_white(neighbours))
         axes[0, column].set_xlabel(f"{distance:.3f}")
     for ax, title in zip(axes[:, 0], titles, strict=True):
         ax.set_ylabel(title)
@@ -100,7 +103,7 @@ def plot_baselines(table, unit):
             colour = COLOURS.target if place == 0 else COLOURS.wall
             ax.plot([row["low"], row["high"]], [place, place], color=colour, linewidth=2.2, alpha=0.6)
             ax.plot(row["median"], place, "o", color=colour, markersize=5)
-        ax.set(title=name, xlabel=f"median error ({unit[name]})", xlim=(0, None))
+        ax.set(title=name, xlabel=f"error ({unit[name]})", xlim=(0, None))
         ax.grid(axis="x", color="#E6E6E6")
     axes[0, 0].set_yticks(range(len(methods)), methods)
     axes[0, 0].invert_yaxis()
@@ -130,7 +133,9 @@ def plot_selection(tables):
                 part = part[np.isfinite(part["median"])]
                 ax.plot(part[across], part["median"], "-" if solid else ":", marker=marker, color=colour, markersize=4,
                         markerfacecolor=colour if solid else "white", label=f"{name}, {by}")  # fmt: skip
-        ax.set(xscale="log", yscale="log", xlabel=xlabel, ylabel=ylabel)
+        if any(len(line.get_xdata()) for line in ax.lines):  # logarithms want something to scale to
+            ax.set(xscale="log", yscale="log")
+        ax.set(xlabel=xlabel, ylabel=ylabel)
     handles = {}
     for ax in axes[0]:
         handles |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
