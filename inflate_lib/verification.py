@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from inflate_lib.descriptors import describe
 from inflate_lib.inflation import inflate
 from inflate_lib.material import first_piola_kirchhoff, tangent_moduli
-from inflate_lib.mesh import Mesh
+from inflate_lib.mesh import WALL, Mesh
 from inflate_lib.structures import THRESHOLD, label_image
 
 
@@ -57,6 +57,22 @@ def _sizes(image, setting):
         return [np.nan] * 3
     shape = describe(result)
     return [shape.height, shape.width, shape.hull_area]
+
+
+def point_joints(label):
+    """Number of nodes at which two wall pixels meet that share no other connection there.
+
+    Such a joint is an artefact of the pixels: a continuum passes no force through a point, so that every finer mesh
+    makes it softer, without a limit.
+
+    Parameters
+    ----------
+    label : (s, s) array_like
+        Labels 0 (outside), 0.5 (wall), 1 (void).
+    """
+    wall = np.pad(np.asarray(label) == WALL, 1)
+    a, b, c, d = wall[:-1, :-1], wall[:-1, 1:], wall[1:, :-1], wall[1:, 1:]
+    return int(np.sum((a & d & ~b & ~c) | (b & c & ~a & ~d)))
 
 
 def quarter_ring(n, inner=0.5, outer=1.0):

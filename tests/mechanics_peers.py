@@ -5,15 +5,20 @@ pressure by its own means; the mean-dilatation element, which FElupe does not ha
 written down in PyTorch and differentiated by it.
 """
 
-import warnings
+from dataclasses import replace
 
 import felupe
 import numpy as np
 import torch
+from felupe.math import cdya_il, det, inv, transpose
 from scipy import ndimage
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
 
+from inflate_lib import build_mesh
 from inflate_lib.inflation import LAMBDA, MU, PRESSURE
+
+GRADING = 0.3  # thickness of each layer of a graded pixel's elements relative to the next one inwards
 
 
 def hook():
@@ -38,6 +43,20 @@ def random_label(seed, size=14, pixels=18):
     return np.roll(label, size - 1 - np.flatnonzero(label.any(axis=1)).max(), axis=0)
 
 
+def graded_mesh(label, layers):
+    """Mesh of 2 · `layers` elements per pixel side that become geometrically thinner towards the sides of each pixel.
+
+    The stress is infinite at re-entrant corners, and those are corners of pixels: such a mesh resolves them with few
+    elements. It contains the lines of the mesh with one layer less; with one layer it is the uniform one.
+    """
+    n = 2 * layers
+    mesh = build_mesh(label, n)
+    half = 0.5 * GRADING ** np.arange(layers - 1, -1, -1)
+    lines = np.concatenate([[0], half, 1 - half[-2::-1]])
+    pixel, line = np.divmod(np.rint(mesh.nodes * len(label) * n).astype(int), n)
+    return replace(mesh, nodes=(pixel + lines[line]) / len(label))
+
+
 def felupe_system(mesh, order):
     """FElupe's displacement field, solid and follower pressure for a `Mesh`, and its mesh."""
     quads = felupe.Mesh(mesh.nodes, mesh.cells, "quad")
@@ -47,8 +66,7 @@ def felupe_system(mesh, order):
         quads = felupe.mesh.convert(quads, order=2, calc_points=True, calc_midfaces=True)
         assert len(np.unique(quads.points.round(12), axis=0)) == len(quads.points), "a midpoint was made twice"
         middles = mesh.nodes[mesh.pressure_edges].mean(axis=1)
-        new = quads.points[len(mesh.nodes) :]
-        on_edge = (np.abs(new[:, None] - middles).max(axis=-1) < 1e-9).any(axis=1)
+        on_edge = cKDTree(middles).query(quads.points[len(mesh.nodes) :])[0] < 1e-9
         cavity = np.concatenate([cavity, on_edge])
         region = felupe.RegionBiQuadraticQuad(quads)
         boundary = felupe.RegionBiQuadraticQuadBoundary(quads, mask=cavity, ensure_3d=True)
@@ -62,47 +80,79 @@ def felupe_system(mesh, order):
     return quads, field, solid, felupe.SolidBodyPressure(on_boundary)
 
 
+class _MixedPoints(felupe.NeoHookeCompressible):
+    """FElupe's law with π, a state variable, in the place of λ ln J in its tangent (Magisano et al. 2017).
+
+    Extrapolated linearly from one iterate to the next, π spares Newton's method the many short moves that near
+    incompressibility costs it. The stress, and so the solution, is that of the law.
+    """
+
+    def __init__(self):
+        super().__init__(mu=MU, lmbda=LAMBDA)
+        self.x = [np.eye(3), np.zeros(())]  # the shapes of F and of the state variable
+
+    def _hessian(self, x):
+        F, pi = x
+        J = det(F)
+        G = transpose(inv(F, J))
+        return [super()._hessian(x)[0] + (LAMBDA * np.log(J) - pi) * cdya_il(G, G)]
+
+
 def inflate_with_felupe(mesh, n_steps=10, order=1, pressure=PRESSURE, tolerance=1e-10):
     """Deformed nodes (steps, n, 2) from FElupe with bilinear (`order` = 1) or biquadratic elements.
 
-    Newton's method with shorter moves where an element would turn over, and shorter load steps where it diverges.
+    The biquadratic elements have further nodes after those of the mesh. Every equilibrium is a stable one (its tangent
+    is positive definite); a load step that fails is approached in halves.
     """
-    quads, field, solid, load = felupe_system(mesh, order)
+    quads, field, _, load = felupe_system(mesh, order)
+    flat = felupe.FieldContainer([felupe.Field(field.region, dim=2)])  # in plane strain this law needs no more
+    solid, u = felupe.SolidBody(_MixedPoints(), flat), flat[0].values
     free = np.flatnonzero(np.repeat(quads.points[:, 1] > 1e-12, 2))
-    start, deformed, reached, increment = field[0].values.copy(), [], 0.0, pressure / n_steps
+    deformed, reached = [], 0.0
     for target in pressure * np.arange(1, n_steps + 1) / n_steps:
+        p, start = target, u.copy()
         while reached < target:
-            p = min(reached + increment, target)
-            field[0].values[:] = start
-            if _newton(field, solid, load, free, p, tolerance):
-                start, reached, increment = field[0].values.copy(), p, 2 * increment
+            if _newton(flat, solid, load, free, p, tolerance):
+                p, reached, start = target, p, u.copy()
             else:
-                increment = (p - reached) / 2
-                assert increment > 1e-3 * target, "the peer found no equilibrium"
-        deformed.append(quads.points + start)
+                u[:], p = start, (reached + p) / 2
+                assert p - reached > 0.01 * target, "the peer found no equilibrium"
+        deformed.append(quads.points + u)
     return np.array(deformed)
 
 
 def _newton(field, solid, load, free, p, tolerance):
-    for _ in range(25):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            # FElupe's pressure is a load: it goes to the other side of the equation
-            r = solid.assemble.vector(field) - load.assemble.vector(field, pressure=p)
+    """Move the field to equilibrium under the pressure p; whether that succeeded."""
+    u, pi = field[0].values, None
+    for _ in range(60):
+        (F,) = field.extract()
+        J, before = det(F), u.copy()
+        pi = LAMBDA * np.log(J) if pi is None else pi
+        r = solid.assemble.vector(field) - load.assemble.vector(field, pressure=p)  # the latter is a load
+        for theta in (1, 0.5, 0.25, 0):  # towards π = μ, where the energy is convex
+            solid.results.statevars[:] = MU + theta * (pi - MU)
             K = solid.assemble.matrix(field) - load.assemble.matrix(field, pressure=p)
-            step = spsolve(K.tocsc()[free][:, free], -r.toarray().ravel()[free])
-        if not np.isfinite(step).all():
-            return False
-        move = np.zeros(field[0].values.size)
-        move[free] = step * min(1.0, 0.05 / np.abs(step).max())
-        before = field[0].values.copy()
-        for _ in range(8):
-            field[0].values[:] = before + move.reshape(-1, 2)
-            if np.linalg.det(np.moveaxis(field.extract()[0], (0, 1), (-2, -1))).min() > 0.02:
+            factors = splu(
+                K.tocsc()[free][:, free], "MMD_AT_PLUS_A", diag_pivot_thresh=0, options={"SymmetricMode": True}
+            )
+            stable = (factors.U.diagonal() > 0).all()
+            if stable:
                 break
-            move /= 2
-        if np.abs(step).max() < tolerance:
+        move = np.zeros(u.size)
+        move[free] = -factors.solve(r.toarray().ravel()[free])
+        length = np.abs(move).max()
+        if not np.isfinite(length):
+            return False
+        longest = min(1, 0.1 / length)
+        for s in longest * 0.5 ** np.arange(20):  # shorter where an element would turn over
+            u[:] = before + s * move.reshape(-1, 2)
+            if det(field.extract()[0]).min() > 0.02:
+                break
+        else:
+            return False
+        if s == 1 and theta == 1 and stable and length < tolerance:
             return True
+        pi = LAMBDA * (np.log(J) + (transpose(inv(F, J)) * (field.extract()[0] - F)).sum(axis=(0, 1)))
     return False
 
 

@@ -3,17 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+from mechanics_peers import graded_mesh, hook, inflate_with_felupe
 from scipy.interpolate import CubicSpline
 
-from inflate_lib import build_mesh, describe, inflate, label_image
-from inflate_lib.inflation import ELEMENTS, LAMBDA, MU
+from inflate_lib import build_mesh, describe, inflate, label_image, paths
+from inflate_lib.inflation import ELEMENTS, LAMBDA, MU, shape_gradients
 from inflate_lib.material import first_piola_kirchhoff
-from inflate_lib.sources import load_sevens
+from inflate_lib.sources import load_sevens, resolve_source
 from inflate_lib.verification import (
     SETTINGS,
     Setting,
     incompressible_tube,
+    point_joints,
     quarter_ring,
     simulate_setting,
     tube,
@@ -100,6 +103,68 @@ def test_half_of_a_symmetric_structure_moves_as_the_whole():
     full = inflate(whole).displacement
     assert np.abs(full[-1]).max() > 0.02
     assert np.abs(inflate(half).displacement - full[:, kept]).max() < 1e-10
+
+
+def sizes(shape):
+    return np.array([shape.height, shape.width, shape.hull_area])
+
+
+def test_graded_meshes_are_nested_meshes_of_one_structure():
+    label = hook()
+    meshes = [graded_mesh(label, layers) for layers in (1, 2, 3)]
+    assert np.allclose(meshes[0].nodes, build_mesh(label, 2).nodes, atol=1e-15)
+    for mesh in meshes:
+        _, weights = shape_gradients(mesh.nodes[mesh.cells])
+        assert weights.min() > 0 and np.isclose(weights.sum(), np.mean(label == 0.5))
+        start, end = mesh.nodes[mesh.pressure_edges.T]
+        area = (start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1]).sum() / 2
+        assert np.isclose(area, np.mean(label == 1))  # of the cavity
+    lines = [set(np.unique(mesh.nodes.round(12))) for mesh in meshes]
+    assert lines[0] < lines[1] < lines[2]
+    assert np.isclose(np.diff(sorted(lines[2])).min() * len(label), 0.5 * 0.3**2)
+
+
+def test_biquadratic_elements_settle_on_graded_meshes():
+    """And the default falls short of them, by less the finer it is."""
+    truth = [
+        sizes(describe(inflate_with_felupe(graded_mesh(hook(), layers), 1, 2, pressure=0.03, tolerance=1e-8)[-1]))
+        for layers in (1, 2, 3, 4)
+    ]
+    moved = np.abs(np.diff(truth, axis=0) / truth[-1]).max(axis=1)
+    assert np.all(moved[1:] < 0.5 * moved[:-1]) and moved[-1] < 1e-3
+    short = [1 - sizes(describe(inflate(hook(), 1, refine=n, pressure=0.03))) / truth[-1] for n in (1, 2, 4, 8)]
+    assert np.all(np.diff(short, axis=0) < 0) and np.all(short[-1] > 0)
+
+
+def test_joints_of_one_node_are_counted():
+    label = np.zeros((4, 4))
+    label[1, 1] = label[2, 2] = 0.5
+    assert point_joints(label) == point_joints(label[::-1]) == 1
+    label[1, 2] = 0.5
+    assert point_joints(label) == 0
+    assert point_joints(hook()) == 0
+
+
+def test_truth_of_the_mesh_study_no_longer_moves():
+    study = pd.read_csv(paths.REFERENCE / "mesh_study.csv")
+    assert study.structure[study.joints == 0].nunique() >= 3
+    size = study.set_index(["element", "refine", "structure"])[["height", "width", "hull_area"]].sort_index()
+    truth = size.loc["q2", 8]  # without the structure that has a joint
+    assert (size.loc["q2", 6] / truth - 1).abs().max(axis=None) < 1e-3
+    locked, default = size.loc["q1", 1], size.loc["mean-dilatation", 1]
+    assert (locked < default).all(axis=None) and (default < truth).all(axis=None)
+
+
+@pytest.mark.slow
+@pytest.mark.mnist
+def test_truth_of_the_mesh_study_is_found_again():
+    if resolve_source() != "mnist":
+        pytest.skip("MNIST cannot be had: the mesh study is one of MNIST's sevens")
+    study, images = pd.read_csv(paths.REFERENCE / "mesh_study.csv"), load_sevens("mnist").images
+    for row in study[(study.element == "q2") & (study.refine == 4) & (study.joints == 0)].itertuples():
+        label = label_image(images[row.structure])
+        found = sizes(describe(inflate_with_felupe(graded_mesh(label, 2), 2, 2, tolerance=1e-8)[-1]))
+        assert np.abs(found - [row.height, row.width, row.hull_area]).max() < 1e-7
 
 
 def test_settings_are_simulated():

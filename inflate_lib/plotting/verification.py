@@ -8,7 +8,7 @@ from inflate_lib.plotting.style import COLOURS, figure
 ELEMENT_STYLES = {
     "q1": ("plain", "s--", COLOURS.target),
     "mean-dilatation": ("mean dilatation", "o-", COLOURS.wall),
-    "q2": ("biquadratic (FElupe)", "^:", COLOURS.medium),
+    "q2": ("biquadratic, graded (FElupe)", "^:", COLOURS.medium),
 }
 
 
@@ -47,7 +47,7 @@ def plot_mesh_study(table):
             ax.plot(rows["refine"], rows[f"{quantity}_error"], style, color=colour, markersize=3.5, label=label)
         ax.axhline(0, color=COLOURS.ink, linewidth=0.8)
         ax.set_xscale("log", base=2)
-        ax.set_xticks([1, 2, 4, 8], ["1", "2", "4", "8"])
+        ax.set_xticks([1, 2, 4, 6, 8], ["1", "2", "4", "6", "8"])
         ax.minorticks_off()
         ax.set_xlabel("elements per pixel side")
         ax.set_title(quantity.replace("_", " "))
