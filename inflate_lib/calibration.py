@@ -17,7 +17,7 @@ from inflate_lib.descriptors import descriptor_matrix
 
 VARIANCE = 0.99  # share of the descriptors' variance in the directions in which a model is calibrated
 N_ASKED = 300  # structures drawn to fit g
-LEAST_SLOPE = 0.2  # below it, g is too flat to be inverted: what the model is told would lie far outside the data
+LEAST_SLOPE = 0.5  # below it, inverting g more than doubles what is asked for, far outside the data
 
 
 @dataclass(frozen=True)

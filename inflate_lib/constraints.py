@@ -127,7 +127,7 @@ def wide_enough(void, width):
     """
     square = np.ones((width, width), bool)
     middles = ndimage.binary_erosion(void, square)  # one for each place of the square
-    covered = ndimage.binary_dilation(middles, square, origin=-1 if width % 2 == 0 else 0)
+    covered = ndimage.binary_dilation(middles, square)  # SciPy mirrors the square: the opening, whatever its width
     one_piece = ndimage.label(middles)[1] == 1
     return one_piece and bool(np.all(ndimage.binary_dilation(covered, np.ones((3, 3), bool))[void]))
 

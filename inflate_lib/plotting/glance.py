@@ -35,7 +35,7 @@ def plot_glance(target, states, steps, labels, results, heights):
     fig, axes = figure(n_rows, n_states + 3, height=2.9 * n_rows + 0.9, **columns)
     for ax in axes.flat:
         picture_axes(ax)
-    tallest = 1.08 * max(target, *heights)
+    tallest = 1.08 * max([target, *heights])
     width = 1.15 * max((float(np.ptp(result.deformed()[:, 0])) for result in results), default=1.0)
     for row, result in enumerate(results):
         for ax, image in zip(axes[row, 1:-2], states[row], strict=True):
