@@ -101,7 +101,7 @@ def test_a_page_on_a_desktop(desktop, name):
     assert not desktop.complaints
     assert [url for url in desktop.requests if not url.startswith(("file:", "data:", "blob:"))] == []
     assert too_wide(page) == []
-    assert page.locator("article h1, article #search-documentation, article #search-results, article h2").count()
+    assert page.locator("main h1").count()
     assert not page.evaluate("[...document.images].filter((i) => i.complete && !i.naturalWidth).map((i) => i.src)")
 
 
@@ -131,7 +131,8 @@ def test_equations_are_set_and_images_described(desktop, name):
     sources = page.locator("article .math").count()
     assert page.locator("article mjx-container").count() >= sources
     assert page.locator("mjx-merror, [data-mjx-error]").count() == 0
-    nameless = "[...document.querySelectorAll('article img')].filter((i) => i.alt.trim().length < 10).map((i) => i.src)"
+    pictures = "[...document.querySelectorAll('article img:not(.toggler)')]"  # the index of modules has tiny buttons
+    nameless = pictures + ".filter((i) => i.alt.trim().length < 10).map((i) => i.src)"
     assert page.evaluate(nameless) == []
 
 
@@ -298,7 +299,7 @@ def test_the_forward_slider_moves_from_image_to_noise(desktop):
 def test_without_scripts_there_is_still_a_picture(browser):
     with Reader(browser, java_script_enabled=False) as reader:
         reader.page.goto((HTML / "notebooks" / "19_explorer.html").as_uri())
-        assert "runs no scripts" in reader.page.locator("noscript").first.inner_text()
+        assert "runs no scripts" in reader.page.locator("article noscript").first.inner_text()
         assert reader.page.locator("#fig-explorer-sheet img").is_visible()
         assert not reader.page.locator(".design-explorer").is_visible()
 
