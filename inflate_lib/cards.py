@@ -17,7 +17,7 @@ SEED = 1  # of the choice of targets, and of the noise
 _CARD = """# Weights of the profile `{profile}`
 
 One conditional diffusion model for each descriptor of an inflated structure, float16 safetensors, for
-`inflate_lib.diffusion.TrainedModel.load`. This page was written by `inflate card {folder}`, which measures what it
+`inflate_lib.diffusion.TrainedModel.load`. This page was written by `inflate card --profile {profile}`, which measures what it
 states.
 
 ## Data
@@ -129,7 +129,6 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, se
     card = folder / "README.md"
     text = _CARD.format(
         profile=about.get("profile", folder.name),
-        folder=f"data/pretrained/{folder.name}",
         source={"mnist": "The sevens of the MNIST training files"}.get(about["source"], about["source"]),
         structures=f"{about['structures']:,}",
         pairs=f"{about['pairs']:,}",
