@@ -17,8 +17,8 @@ SEED = 1  # of the choice of targets, and of the noise
 _CARD = """# Weights of the profile `{profile}`
 
 One conditional diffusion model for each descriptor of an inflated structure, float16 safetensors, for
-`inflate_lib.diffusion.TrainedModel.load`. This page was written by `inflate card --profile {profile}`, which measures what it
-states.
+`inflate_lib.diffusion.TrainedModel.load`. This page was written by `inflate card --profile {profile}`,
+which measures what it states.
 
 ## Data
 
