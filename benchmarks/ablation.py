@@ -20,7 +20,7 @@ from inflate_lib import ablation, diffusion, generation
 from inflate_lib.cache import code_version
 from inflate_lib.datasets import simulated_sevens
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
-from inflate_lib.experiments import trained_model_file
+from inflate_lib.experiments import committed_weights, trained_model_file
 from inflate_lib.generation import held_out_targets
 from inflate_lib.profiles import load_profile
 
@@ -34,6 +34,7 @@ def options():
     parser.add_argument("--descriptor", default="height")
     parser.add_argument("--source", default="mnist")
     parser.add_argument("--jobs", type=int, default=-1, help="runs side by side, one thread each")
+    parser.add_argument("--only", nargs="+", metavar="VARIANT", help="these variants alone, by their names in the table")
     parser.add_argument("--name", default="ablation", help="of the files in data/reference")
     return parser.parse_args()
 
@@ -42,7 +43,8 @@ def run(variant, seed, training, n_structures, data, targets, common, descriptor
     """One row: train, generate, evaluate."""
     group, name = variant
     few = data if n_structures is None else data.isel(structure=slice(0, n_structures))
-    path = trained_model_file(descriptor, training, few, common["n_augmented"], seed, threads=1)
+    given = descriptor, training, few, common["n_augmented"], seed
+    path = committed_weights(*given)[0] or trained_model_file(*given, threads=1)
     model = TrainedModel.load(path)
     row = {"group": group, "variant": name, "seed": seed, "pairs": model.metadata["pairs"]}
     row |= {"training_seconds": model.metadata["seconds"], "held_out_loss": model.metadata["held_out_loss"]}
@@ -58,6 +60,10 @@ def main():
     targets, _ = held_out_targets(data, given.descriptor, n=given.targets)
     variants = ablation.training_variants(training)
     variants = {k: v for k, v in variants.items() if v[1] is None or v[1] < data.sizes["structure"]}
+    if given.only:
+        if unknown := set(given.only) - {name for _, name in variants}:
+            raise SystemExit(f"no variant {sorted(unknown)}; there are {[name for _, name in variants]}")
+        variants = {k: v for k, v in variants.items() if k[1] in given.only}
     start, rows = time.monotonic(), []
     tasks = (
         delayed(run)(variant, seed, *variants[variant], data, targets, common, given.descriptor)

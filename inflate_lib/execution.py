@@ -137,8 +137,8 @@ def execute(
             coalesce_streams=True,  # a progress line that rewrites itself leaves its last state only
         )
     except papermill.PapermillExecutionError as error:
-        message = _strip_colour(f"{error.ename}: {error.evalue}")
-        where = _strip_colour("\n".join(error.traceback))
+        message = strip_colour(f"{error.ename}: {error.evalue}")
+        where = strip_colour("\n".join(error.traceback))
         raise NotebookFailed(_report(source, running, progress, message, where)) from error
     except Exception as error:
         if kernels.stopped:
@@ -213,5 +213,6 @@ def _without_progress(output: nbformat.NotebookNode) -> bool:
     return bool(output.text.strip())
 
 
-def _strip_colour(text: str) -> str:
+def strip_colour(text: str) -> str:
+    """Text without a terminal's colour codes."""
     return re.sub("\x1b\\[[0-9;]*[A-Za-z]", "", text)

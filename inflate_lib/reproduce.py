@@ -8,6 +8,7 @@ import functools
 import json
 import os
 import platform
+import re
 import shutil
 import signal
 import subprocess
@@ -30,11 +31,12 @@ from rich.table import Table
 from inflate_lib import paths
 from inflate_lib.cache import RETRAIN, code_version, digest
 from inflate_lib.display import Bars, Lines
-from inflate_lib.execution import Kernels, Listener, execute
+from inflate_lib.execution import Kernels, Listener, execute, strip_colour
 from inflate_lib.profiles import Profile, check_profile, load_profile
 from inflate_lib.publishing import package_versions
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+COMPLAINT = re.compile(r"\b(WARNING|ERROR|CRITICAL|SEVERE)\b")  # as Sphinx marks them
 
 
 class RunError(RuntimeError):
@@ -153,10 +155,17 @@ def run_jupyter_book(builder: str) -> Path:
     """Run one of Jupyter Book's builders, warnings as errors; its first page, ``book/_build/<builder>/index.html``."""
     command = [sys.executable, "-c", "import sys; from jupyter_book.cli.main import main; sys.exit(main())"]
     options = ["--builder", builder, "-n", "-W", "--keep-going"]
-    done = subprocess.run([*command, "build", str(paths.BOOK), *options], check=False)
+    complaints = []
+    with subprocess.Popen(
+        [*command, "build", str(paths.BOOK), *options], stderr=subprocess.PIPE, text=True, errors="replace"
+    ) as build:
+        for line in build.stderr:
+            print(line, end="", file=sys.stderr, flush=True)
+            complaints += [strip_colour(line.strip())] if COMPLAINT.search(line) else []
     page = paths.BOOK / "_build" / builder / "index.html"
-    if done.returncode or not page.is_file():
-        raise RunError("Jupyter Book reported warnings or errors (above); each has to go before the book is built")
+    if build.returncode or not page.is_file():
+        why = "\n".join(["Jupyter Book reported warnings or errors; each has to go before the book is built:", *complaints])
+        raise RunError(why)
     return page
 
 
@@ -170,6 +179,15 @@ def check_book(profile_name: str) -> None:
     if problems:
         lines = [f"no book under profile {profile_name!r} from these notebooks:", *(f"  {p}" for p in problems)]
         raise RunError("\n".join([*lines, f"Run: inflate reproduce --profile {profile_name}"]))
+    if warned := [line for name in sorted(there) for line in _warnings(paths.EXECUTED / f"{name}.ipynb")]:
+        raise RunError("\n".join(["no book from notebooks that warn (text on stderr); mend these and run again:", *warned]))
+
+
+def _warnings(executed: Path) -> list[str]:
+    """What an executed notebook wrote to stderr, a line for each cell that did."""
+    cells = [cell for cell in nbformat.read(executed, as_version=4).cells if cell.cell_type == "code"]
+    texts = ["".join(o.text for o in cell.outputs if o.get("name") == "stderr").strip() for cell in cells]
+    return [f"  {executed.stem}, code cell {n}: {strip_colour(text)}" for n, text in enumerate(texts, 1) if text]
 
 
 def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> Job:
