@@ -34,7 +34,7 @@ def options():
     parser.add_argument("--descriptor", default="height")
     parser.add_argument("--source", default="mnist")
     parser.add_argument("--jobs", type=int, default=-1, help="runs side by side, one thread each")
-    parser.add_argument("--only", nargs="+", metavar="VARIANT", help="these variants alone, by their names in the table")
+    parser.add_argument("--only", nargs="+", metavar="VARIANT", help="these alone, by their names in the table")
     parser.add_argument("--name", default="ablation", help="of the files in data/reference")
     return parser.parse_args()
 

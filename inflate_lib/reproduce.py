@@ -164,8 +164,8 @@ def run_jupyter_book(builder: str) -> Path:
             complaints += [strip_colour(line.strip())] if COMPLAINT.search(line) else []
     page = paths.BOOK / "_build" / builder / "index.html"
     if build.returncode or not page.is_file():
-        why = "\n".join(["Jupyter Book reported warnings or errors; each has to go before the book is built:", *complaints])
-        raise RunError(why)
+        why = "Jupyter Book reported warnings or errors; each has to go before the book is built:"
+        raise RunError("\n".join([why, *complaints]))
     return page
 
 
@@ -180,7 +180,8 @@ def check_book(profile_name: str) -> None:
         lines = [f"no book under profile {profile_name!r} from these notebooks:", *(f"  {p}" for p in problems)]
         raise RunError("\n".join([*lines, f"Run: inflate reproduce --profile {profile_name}"]))
     if warned := [line for name in sorted(there) for line in _warnings(paths.EXECUTED / f"{name}.ipynb")]:
-        raise RunError("\n".join(["no book from notebooks that warn (text on stderr); mend these and run again:", *warned]))
+        why = "no book from notebooks that warn (text on stderr); mend these and run again:"
+        raise RunError("\n".join([why, *warned]))
 
 
 def _warnings(executed: Path) -> list[str]:

@@ -206,8 +206,22 @@ def test_a_book_with_a_warning_is_no_book_the_second_time_either(done):
     (done / "book" / "_config.yml").write_text(config)
     (done / "book" / "index.md").write_text("# Title\n\n{doc}`notebooks/03_absent`\n")
     for _ in range(2):
-        with pytest.raises(RunError, match="warnings or errors"):
+        with pytest.raises(
+            RunError, match=r"(?s)warnings or errors.*\.md:3: WARNING: unknown document: '?notebooks/03_"
+        ):
             build_book("ci")
+
+
+def test_a_notebook_that_warned_is_named_with_its_warning(done):
+    executed = done / "book" / "notebooks" / "02_second.ipynb"
+    notebook = nbformat.read(executed, as_version=4)
+    cell = [cell for cell in notebook.cells if cell.cell_type == "code"][-1]
+    cell.outputs.append(nbformat.v4.new_output("stream", name="stderr", text="UserWarning: too much\n"))
+    nbformat.write(notebook, executed)
+    notebook.metadata["inflate"]["cells"] = reproduce._content(json.loads(executed.read_text()))
+    nbformat.write(notebook, executed)
+    with pytest.raises(RunError, match=r"02_second, code cell \d: UserWarning: too much"):
+        build_book("ci")
 
 
 def test_a_raising_cell_stops_the_run_and_is_shown(home, monkeypatch):
