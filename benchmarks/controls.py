@@ -15,12 +15,13 @@ import time
 import numpy as np
 import pandas as pd
 import torch
+from scipy.stats import spearmanr
 from stored import store
 
 from inflate_lib import candidates, datasets, diffusion, generation, sensitivity
 from inflate_lib.cache import cached, code_version, digest
 from inflate_lib.calibration import calibrate
-from inflate_lib.candidates import attempt, refine
+from inflate_lib.candidates import attempt, border, refine, with_flipped
 from inflate_lib.constraints import Constraints
 from inflate_lib.controls import run_steered, steer
 from inflate_lib.datasets import simulated_sevens
@@ -29,15 +30,17 @@ from inflate_lib.design_targets import Targets
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.evaluation import bootstrap, misses, r_squared
 from inflate_lib.generation import held_out_targets, model_digest, run_experiment
+from inflate_lib.inflation import inflate
 from inflate_lib.paths import PRETRAINED
 from inflate_lib.profiles import load_profile
+from inflate_lib.sensitivity import flip_changes, sensitivities
 from inflate_lib.surrogate import train_surrogate
 
 DESCRIPTOR = "height"  # a scalar with a sensitivity
 GOAL = 1e-3  # relative error at which a refinement stops
 TRIES = 10, 60  # inflations that a refinement may take
 NEAR = 0.02
-TIMED = 32  # targets that the time per structure is measured on
+TIMED = 32  # structures that the time per structure is measured on
 PIECE = 20  # targets refined at a time, which is what a stopped script can lose
 
 
@@ -47,8 +50,9 @@ def options():
     parser.add_argument("--targets", type=int, default=200, help="held-out targets")
     parser.add_argument("--source", default="mnist")
     parser.add_argument("--surrogate-steps", type=int, default=1000, help="training steps of the surrogate")
-    parser.add_argument("--strength", type=float, default=1.0, help="of the surrogate's guidance")
+    parser.add_argument("--strength", type=float, default=2.0, help="of the surrogate's guidance")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--remark", default="", help="what else the machine did, for the record")
     parser.add_argument("--name", default="controls", help="of the files in data/reference")
     return parser.parse_args()
 
@@ -65,44 +69,56 @@ class Study:
         self.data = simulated_sevens(given.source)
         self.targets, _ = held_out_targets(self.data, DESCRIPTOR, self.model, given.targets, given.seed)
         self.surrogate = train_surrogate(self.data, given.surrogate_steps, given.seed)
-        n = common["n_calibration"]
-        self.calibration = calibrate(self.model, DESCRIPTOR, self.data, self.sampling, given.seed, n, n_jobs=1)
+        sampling, n = {**self.sampling, "guidance": 3.0}, common["n_calibration"]
+        self.calibration = calibrate(self.model, DESCRIPTOR, self.data, sampling, given.seed, n, n_jobs=1)
         self.rows = []
 
     def draw(self, n, guidance, calibration=None, strength=0.0):
-        """An experiment with n structures per target, and the seconds that one takes to generate and to simulate."""
+        """An experiment with n structures per target, and the seconds that one takes."""
         sampling = {**self.sampling, "guidance": guidance}
-        told = self.targets if calibration is None else calibration.told(self.targets)
         given = self.model, DESCRIPTOR, self.targets
         if strength:
             answer = run_steered(*given, self.surrogate, strength, n, sampling, self.seed, calibration, n_jobs=1)
         else:
             answer = run_experiment(*given, n, sampling, self.seed, 1, True, calibration)
+        return answer, self.clocks()[f"{guidance:g}, {strength:g}"]
 
-        def once():
-            if not strength:
-                return generate(self.model, told[:TIMED], self.seed, **sampling)
-            plain = {name: value for name, value in sampling.items() if name != "sampler"}
-            asked = told[:TIMED], self.targets[:TIMED]
-            return steer(self.model, DESCRIPTOR, *asked, self.surrogate, strength, self.seed, **plain)
+    def clocks(self):
+        """Seconds to generate and to simulate one structure, and to ask the surrogate about it, for each way to draw.
+
+        All ways take turns, three times, so that none has the machine at a better time; the least of each counts.
+        """
 
         def make(target, scratch):
-            once()
-            start = time.process_time()
-            images = once()
-            drawn = time.process_time()
-            self.surrogate.predict(images, DESCRIPTOR)
-            asked = time.process_time()
-            for image in images:
-                reason, _, result = attempt(image, Constraints())
-                if not reason:
-                    describe(result)
-            done = time.process_time()
-            clock = {"generate": drawn - start, "surrogate": asked - drawn, "simulate": done - asked}
-            target.write_text(json.dumps({name: value / len(images) for name, value in clock.items()}))
+            clocks = {}
+            for _ in range(4):  # the first one warms up
+                for guidance, strength in ((1.0, 0.0), (3.0, 0.0), (5.0, 0.0), (3.0, strongest), (1.0, strongest)):
+                    clocks.setdefault(f"{guidance:g}, {strength:g}", []).append(self._clock(guidance, strength))
+            least = {way: pd.DataFrame(seconds[1:]).min().to_dict() for way, seconds in clocks.items()}
+            target.write_text(json.dumps(least))
 
-        key = {"model": model_digest(self.model), "sampling": sampling, "strength": strength, "code": self.code()}
-        return answer, json.loads(cached("seconds", key | {"targets": digest(told)}, make, ".json").read_text())
+        strongest = self.given.strength
+        key = {"model": model_digest(self.model), "sampling": self.sampling, "strength": strongest, "n": TIMED}
+        return json.loads(cached("seconds", key | {"code": self.code()}, make, ".json").read_text())
+
+    def _clock(self, guidance, strength):
+        options = {name: value for name, value in self.sampling.items() if name != "sampler"} | {"guidance": guidance}
+        y = np.resize(self.targets, (TIMED, 1))
+        start = time.process_time()
+        if strength:
+            images = steer(self.model, DESCRIPTOR, y, y, self.surrogate, strength, self.seed, **options)
+        else:
+            images = generate(self.model, y, self.seed, "ddim", **options)
+        drawn = time.process_time()
+        self.surrogate.predict(images, DESCRIPTOR)
+        asked = time.process_time()
+        for image in images:
+            reason, _, result = attempt(image, Constraints())
+            if not reason:
+                describe(result)
+        done = time.process_time()
+        clock = {"generate": drawn - start, "surrogate": asked - drawn, "simulate": done - asked}
+        return {name: value / TIMED for name, value in clock.items()}
 
     def best(self, answer, n, ranking=None):
         """Row of the best of the first n structures of each target: by the simulation, or by a ranking (rows,)."""
@@ -135,7 +151,8 @@ class Study:
             achieved = self.targets[:, 0] * [1 + trace[: tries + 1][-1] for trace in traces]
             share = [min(1, tries / max(1, len(trace) - 1)) for trace in traces]
             seconds = n * (clock["generate"] + clock["simulate"]) + np.mean(np.multiply(share, spent))
-            self.add(control, f"best of {n}, then {tries} flips tried", achieved, seconds)
+            start = f"best of {n}" if n > 1 else "one"
+            self.add(control, f"{start}, then {tries} flips tried", achieved, seconds)
 
     def _refine(self, answer, rows, order):
         def make(target, scratch):
@@ -143,18 +160,41 @@ class Study:
             for row in rows:
                 wanted = Targets(height=float(answer["target"].values[row, 0]))
                 start, trace = time.process_time(), [np.nan]
-                reason, label, result = attempt(answer["image"].values[row], Constraints())
+                reason, label, result = attempt(answer["label"].values[row].astype(float), Constraints())
                 if answer["valid"].values[row]:
-                    trace = [abs(describe(result).height / wanted.height - 1)]
+                    trace = [abs(answer[DESCRIPTOR].values[row] / wanted.height - 1)]
                     if not reason:  # walls that cross are left as they are
                         refine(label, result, wanted, Constraints(), GOAL, max(TRIES), int(row), order, trace)
                 found["errors"].append([float(error) for error in trace])
                 found["seconds"].append(time.process_time() - start)
             target.write_text(json.dumps(found))
 
-        key = {"images": digest(answer["image"].values[rows], answer["target"].values[rows]), "order": order}
+        key = {"labels": digest(answer["label"].values[rows], answer["target"].values[rows]), "order": order}
         key |= {"rows": digest(rows), "code": self.code(), "goal": GOAL, "tries": TRIES}
         return json.loads(cached("refined", key, make, ".json").read_text())
+
+    def estimates(self, answer, n=20):
+        """How well the adjoint ranks the flips of n structures: Spearman's correlation with the truth, and flips tried.
+
+        The median over the structures.
+        """
+
+        def make(target, scratch):
+            found, flips = [], 0
+            for label in answer["label"].values[answer["valid"].values][:n].astype(float):
+                result, pairs = inflate(label), []
+                estimate = flip_changes(label, sensitivities(result, DESCRIPTOR))
+                for row, column in border(label):
+                    reason, _, flipped = attempt(with_flipped(label, row, column), Constraints())
+                    if not reason:
+                        change = describe(flipped).height - describe(result).height
+                        pairs.append((estimate[row, column], change))
+                found.append(float(spearmanr(*np.transpose(pairs)).statistic))
+                flips += len(pairs)
+            target.write_text(json.dumps([float(np.median(found)), flips]))
+
+        key = {"labels": digest(answer["label"].values), "n": n, "code": self.code()}
+        return json.loads(cached("flips", key, make, ".json").read_text())
 
     def code(self):
         return [generation.code(), code_version(candidates, sensitivity, datasets, diffusion)]
@@ -171,7 +211,7 @@ class Study:
             return np.array([r2, median, 100 * np.mean(np.nan_to_num(error[rows], nan=np.inf) <= NEAR)])
 
         low, high = bootstrap(statistics, len(wanted), None, self.seed)
-        row = {"control": control, "effort": effort, "seconds": float(seconds), "valid": 100 * valid.mean()}
+        row = {"control": control, "effort": effort, "seconds": float(seconds), "valid": float(100 * valid.mean())}
         measured = statistics(np.arange(len(wanted)))
         for name, *values in zip(("R²", "median", "within"), measured, low, high, strict=True):
             row |= dict(zip((name, f"{name} low", f"{name} high"), map(float, values), strict=True))
@@ -187,17 +227,21 @@ def main():
         answer, clock = study.draw(n, guidance)
         for few in (1, n):
             study.select(f"w = {guidance:g}", answer, clock, few)
-    answer, clock = study.draw(16, study.sampling["guidance"], study.calibration)
+    answer, clock = study.draw(16, 3.0, study.calibration)
     for n in (1, 4, 16):
-        study.select("calibrated", answer, clock, n)
+        study.select("w = 3, calibrated", answer, clock, n)
     for n in (4, 16):
-        study.select("calibrated, surrogate selects", answer, clock, n, by_surrogate=True)
+        study.select("surrogate selects", answer, clock, n, by_surrogate=True)
     for control, order in (("pixel by pixel, random", "random"), ("pixel by pixel, adjoint", "sensitivity")):
         for n in (1, 4):
             study.refined(control, answer, clock, n, order)
-    steered, clock = study.draw(4, study.sampling["guidance"], study.calibration, given.strength)
-    for n in (1, 4):
-        study.select("surrogate steers", steered, clock, n)
+    correlation, flips = study.estimates(answer)
+    for guidance, calibration, n in ((3.0, study.calibration, 4), (1.0, None, 8)):
+        steered, clock = study.draw(n, guidance, calibration, given.strength)
+        for few in (1, n):
+            study.select(f"surrogate steers, w = {guidance:g}", steered, clock, few)
+    for n in (1, 4, 8):
+        study.refined("pixel by pixel, steered start", steered, clock, n, "sensitivity")
     store(
         pd.DataFrame(study.rows),
         given.name,
@@ -210,7 +254,13 @@ def main():
         surrogate_steps=given.surrogate_steps,
         strength=given.strength,
         goal=GOAL,
+        rank_correlation=correlation,
+        flips=flips,
         threads=1,
+        remark=given.remark,
+        milliseconds={
+            way: {name: round(1e3 * value, 2) for name, value in clock.items()} for way, clock in study.clocks().items()
+        },
         load_average=[round(load, 1), round(os.getloadavg()[0], 1)],
     )
 

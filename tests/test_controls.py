@@ -1,12 +1,18 @@
 """Steering by a surrogate: what it sees is the label image, what it adds hits the target, and 0 is plain sampling."""
 
+import json
+
+import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from torch import nn
 
+from inflate_lib import paths
 from inflate_lib.controls import correction, soft_label, steer
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
+from inflate_lib.plotting.evaluation import plot_controls
 from inflate_lib.sources import load_sevens
 from inflate_lib.structures import FRAME, label_image
 from inflate_lib.surrogate import Surrogate, centred
@@ -88,3 +94,15 @@ def test_steered_structures_come_nearer_to_what_the_surrogate_is_asked_for(model
     assert np.median(missed) < 0.5 * 0.05
     again = steer(model, "height", told[2:4], wanted[2:4], trained, 1.0, start=2, **options)
     assert np.allclose(again, steered[2:4], atol=1e-5)
+
+
+def test_the_stored_comparison_is_whole_and_its_lines_differ_without_colour():
+    table = pd.read_csv(paths.REFERENCE / "controls.csv")
+    about = json.loads((paths.REFERENCE / "controls.json").read_text(encoding="utf-8"))
+    assert about["targets"] == 200 and not table.duplicated(["control", "effort"]).any()
+    assert (table["median low"] <= table["median"]).all() and (table["median"] <= table["median high"]).all()
+    assert table["seconds"].gt(0).all() and table["valid"].between(90, 100).all()
+    (ax,) = plot_controls(table).axes
+    marks = [(bars.lines[0].get_marker(), bars.lines[0].get_linestyle()) for bars in ax.containers]
+    assert len(set(marks)) == len(marks) == table["control"].nunique()
+    plt.close("all")
