@@ -8,7 +8,7 @@ resamples of the structures, and the range that holds the middle 95 % of the res
 import numpy as np
 import pandas as pd
 
-from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors import descriptor_matrix, relative_errors
 from inflate_lib.generation import COMPONENTS
 
 PIXEL = 1 / 28  # in lengths of the unit square
@@ -28,8 +28,8 @@ def errors(experiment, descriptor):
     Returns
     -------
     (n,) float
-        Height, width, area: relative error ``|achieved − target| / target``. Box: the mean of its two relative errors.
-        Axis: mean distance of the thirty points, in pixels. NaN where the structure did not converge.
+        Scalars: relative error ``|achieved − target| / target``. Box: the mean of its two relative errors. Axis: mean
+        distance of the thirty points, in pixels. NaN where the structure did not converge.
     """
     return misses(descriptor, descriptor_matrix(experiment, descriptor), experiment["target"].values)
 
@@ -38,7 +38,7 @@ def misses(descriptor, achieved, target):
     """:func:`errors` of descriptors that are given as arrays, achieved and target (n, N)."""
     if descriptor == "axis":
         return point_distances(achieved, target).mean(axis=1)
-    return np.abs(achieved / target - 1).mean(axis=1)
+    return relative_errors(descriptor, achieved, target).mean(axis=1)
 
 
 def point_distances(axes, others):

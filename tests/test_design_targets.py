@@ -116,7 +116,7 @@ def test_few_points_are_a_line_from_bottom_to_top():
 def test_what_is_not_asked_is_nan():
     targets = Targets(height=1.1, area=0.8)
     assert targets.asked == ("height", "area")
-    assert np.array_equal(targets.vector("joint"), [1.1, np.nan, 0.8, *[np.nan] * 60], equal_nan=True)
+    assert np.array_equal(targets.vector("joint"), [1.1, np.nan, 0.8, *[np.nan] * 62], equal_nan=True)
     assert np.array_equal(targets.vector("box"), [1.1, np.nan], equal_nan=True)
 
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from inflate_lib import cli, describe, design, export, inflate, inverse_design, label_image, paths
+from inflate_lib import cli, describe, design, inflate, inverse_design, label_image, paths, stress
 from inflate_lib.constraints import PIXEL, Constraints, is_symmetric
 from inflate_lib.datasets import simulate_dataset
+from inflate_lib.descriptors import PARTS
 from inflate_lib.design_targets import Targets, errors
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.inverse_design import MODELS, corrected, diverse, find_model
@@ -208,13 +209,13 @@ def test_stress_can_be_chosen_at_equal_height(search, data):
     found = {
         prefer: search({"height": height}, 5, tolerance=0.05, prefer=prefer) for prefer in ("low-stress", "high-stress")
     }
-    low, high = ([one.peak_stress for one in found[prefer].designs] for prefer in found)
+    low, high = ([one.shape.peak_stress for one in found[prefer].designs] for prefer in found)
     assert len(low) == len(high) == 5 and low == sorted(low) and high == sorted(high, reverse=True)
     assert max(low) < min(high)
     for one in [one for designs in found.values() for one in designs.designs]:
         assert abs(one.shape.height / height - 1) <= 0.05
-        assert one.peak_stress == export.von_mises(one.result)[-1].max()
-        assert one.peak_stretch == export.largest_stretch(one.result)[-1].max() > 1
+        assert one.shape.peak_stress == stress.von_mises(one.result)[-1].max()
+        assert one.shape.peak_stretch == stress.largest_stretch(one.result)[-1].max() > 1
 
 
 def test_peaks_are_those_of_uniform_stretch():
@@ -228,8 +229,8 @@ def test_peaks_are_those_of_uniform_stretch():
     pulled = Inflation(mesh, "q1", np.array([0.5, 1]), np.zeros(2), displacement, True, "", 0, (16.44, 0.1644))
     b = np.array([2.25, 1, 1])
     deviator = 0.1644 / 1.5 * (b - b.mean())
-    assert export.peaks(pulled) == pytest.approx((np.sqrt(1.5 * (deviator**2).sum()), 1.5))
-    assert export.peaks(pulled, 0)[1] == pytest.approx(1.2)
+    assert stress.peaks(pulled) == pytest.approx((np.sqrt(1.5 * (deviator**2).sum()), 1.5))
+    assert stress.peaks(pulled, 0)[1] == pytest.approx(1.2)
 
 
 def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
@@ -238,8 +239,8 @@ def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
     everything = {"height": 1.0, "width": 0.9, "area": 0.7, "axis": [(0, 0), (0, 1.0)]}
 
     def weights(name):
-        n = {"joint": 63, "axis": 60, "box": 2}.get(name, 1)
-        config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=(1, 1, 1, 60) if n == 63 else ())
+        n = {"joint": 65, "axis": 60, "box": 2}.get(name, 1)
+        config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()) if n == 65 else ())
         model = TrainedModel(config.make_net(n), config, np.zeros(n), np.ones(n), metadata={"descriptor": name})
         model.save(tmp_path / "laptop" / f"{name}.safetensors")
 
@@ -255,14 +256,14 @@ def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
         assert len(targets.vector(name)) == len(model.condition_min) and np.isfinite(targets.vector(name)).all()
     weights("joint")
     found, model = find_model(Targets(width=1.0))
-    assert found == "joint" and len(model.condition_min) == 63
+    assert found == "joint" and len(model.condition_min) == 65
     assert set(MODELS) == {"joint", "axis", "box", "area", "width", "height"}
 
 
 def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
     """The whole way with untrained weights: nothing usable may come out, and then that is what it says."""
-    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=(1, 1, 1, 60))
-    model = TrainedModel(config.make_net(63).eval(), config, np.zeros(63), np.full(63, 2.0))
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()))
+    model = TrainedModel(config.make_net(65).eval(), config, np.full(65, -2.0), np.full(65, 2.0))
     options = {"sampling": {"sampler": "ddim", "steps": 2}, "max_candidates": 8, "say": None, "data": data}
     found = design({"height": 0.9}, 2, model=("joint", model), **options)
     assert found.tried == 8 and sum(found.rejected.values()) <= 8

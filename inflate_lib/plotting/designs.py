@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull
 from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label, place_axis
 from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure, picture_axes
 
-NAMES = {"height": "h", "width": "w", "area": "A", "axis": "axis"}
+NAMES = {"height": "h", "width": "w", "area": "A", "stress": "stress", "stretch": "stretch", "axis": "axis"}
 
 
 def plot_designs(designs, columns=6):
@@ -47,7 +47,7 @@ def plot_designs(designs, columns=6):
         below.set(xlim=(middle - wide / 2, middle + wide / 2), ylim=(bottom, tall))
         misses = [f"{NAMES[name]} {100 * value:.2f} %" for name, value in one.errors.items()]
         lines = [", ".join(misses[start : start + 2]) for start in range(0, len(misses), 2)]
-        below.set_xlabel("\n".join([*lines, f"stress {one.peak_stress:.3f}"]), fontsize=7)
+        below.set_xlabel("\n".join([*lines, f"stress {one.shape.peak_stress:.3f}"]), fontsize=7)
     return fig
 
 
