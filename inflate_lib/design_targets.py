@@ -148,9 +148,7 @@ def outline_targets(points):
     return Targets(shape.height, shape.width, shape.hull_area, shape.medial_axis, points - [0, points[:, 1].min()])
 
 
-def read_targets(
-    height=None, width=None, area=None, axis=None, outline=None, unit=1.0, stress=None, stretch=None
-):  # fmt: skip
+def read_targets(height=None, width=None, area=None, axis=None, outline=None, unit=1.0, stress=None, stretch=None):
     """Targets from numbers and files; None where not asked for. See :func:`read_axis` and :func:`read_outline`.
 
     Raises

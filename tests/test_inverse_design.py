@@ -218,21 +218,6 @@ def test_stress_can_be_chosen_at_equal_height(search, data):
         assert one.shape.peak_stretch == stress.largest_stretch(one.result)[-1].max() > 1
 
 
-def test_peaks_are_those_of_uniform_stretch():
-    """A square under plane strain, pulled to 1.5 times its length: the stretch and the stress are exact."""
-    from inflate_lib.inflation import Inflation
-    from inflate_lib.mesh import Mesh
-
-    nodes = np.array([(0, 0), (1, 0), (1, 1), (0, 1.0)])
-    mesh = Mesh(nodes, np.array([[0, 1, 2, 3]]), np.empty((0, 2), int), np.array([True, False, False, False]))
-    displacement = np.stack([nodes * [0.2, 0], nodes * [0.5, 0]])
-    pulled = Inflation(mesh, "q1", np.array([0.5, 1]), np.zeros(2), displacement, True, "", 0, (16.44, 0.1644))
-    b = np.array([2.25, 1, 1])
-    deviator = 0.1644 / 1.5 * (b - b.mean())
-    assert stress.peaks(pulled) == pytest.approx((np.sqrt(1.5 * (deviator**2).sum()), 1.5))
-    assert stress.peaks(pulled, 0)[1] == pytest.approx(1.2)
-
-
 def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
     """Whichever weights are there: the joint model first, then the single one that takes most."""
     monkeypatch.setattr(paths, "PRETRAINED", tmp_path)
@@ -269,6 +254,38 @@ def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
     assert found.tried == 8 and sum(found.rejected.values()) <= 8
     assert len(found.designs) <= 2 and found.summary()
     assert found.table().columns[:3].tolist() == ["design", "within", "error height (%)"]
+
+
+def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, model):
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()))
+    model.config, model.condition_min, model.condition_max = config, np.full(65, -5.0), np.full(65, 5.0)
+    height, stress = float(np.median(data.height)), float(np.median(data.peak_stress))
+    options = {"data": data, "max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1}
+    found = design({"height": height, "stress": stress}, 3, model=("joint", model), tolerance=0.1, **options)
+    told = model.told[0]
+    assert np.array_equal(told[0], Targets(height=height, stress=stress).vector("joint"), equal_nan=True)
+    assert np.isnan(told).sum(axis=1).tolist() == [63] * len(told)
+    assert model.told[1][0, 3] != told[0, 3] and np.isnan(model.told[1][:, 4:]).all()  # moved against the median miss
+    assert found.within >= 1
+    for one in found.pool:
+        assert abs(one.shape.height / height - 1) <= 0.1 and abs(one.shape.peak_stress / stress - 1) <= 0.1
+        assert one.errors["stress"] == pytest.approx(abs(one.shape.peak_stress / stress - 1), abs=1e-12)
+    assert "error stress (%)" in found.table()
+
+
+def test_stress_without_a_joint_model_is_refused_with_a_way_out(search, monkeypatch, tmp_path):
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path)
+    way_out = "stress and stretch can be asked of the joint model only.*inflate train --descriptor joint.*low-stress"
+    for refused in (find_model, lambda targets: search(targets)):
+        with pytest.raises(ValueError, match=way_out):
+            refused(Targets(height=0.9, stress=0.2, stretch=1.4))
+
+
+def test_a_joint_model_of_other_parts_is_refused(data):
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=(1, 1, 1, 60))
+    model = TrainedModel(config.make_net(63).eval(), config, np.zeros(63), np.full(63, 2.0))
+    with pytest.raises(ValueError, match="train it again"):
+        design({"height": 0.9}, 2, model=("joint", model), data=data, say=None)
 
 
 @pytest.mark.parametrize(
