@@ -261,7 +261,7 @@ def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, 
     model.config, model.condition_min, model.condition_max = config, np.full(65, -5.0), np.full(65, 5.0)
     height, stress = float(np.median(data.height)), float(np.median(data.peak_stress))
     options = {"data": data, "max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1}
-    found = design({"height": height, "stress": stress}, 3, model=("joint", model), tolerance=0.1, **options)
+    found = design({"height": height, "stress": stress}, 12, model=("joint", model), tolerance=0.1, **options)
     told = model.told[0]
     assert np.array_equal(told[0], Targets(height=height, stress=stress).vector("joint"), equal_nan=True)
     assert np.isnan(told).sum(axis=1).tolist() == [63] * len(told)
@@ -358,6 +358,8 @@ def test_too_few_designs_are_written_and_the_exit_code_says_so(run, data):
         (["--outline", "ring.svg", "--height", "1"], "leave the others out"),
         (["--height", "0.9", "--tolerance", "-1"], "tolerance"),
         (["--height", "0.9", "--prefer", "nothing"], "low-stress"),
+        (["--height", "0.9", "--stress", "0.2"], "stress can be asked of the joint model only"),
+        (["--stretch", "0.5"], "at least 1, not 0.5"),
         (["--height", "0.9", "--size-mm", "0"], "size_mm"),
         (["--height", "0.9", "--depth-mm", "-1"], "depth_mm"),
         (["--height", "0.9", "--min-void-mm", "500"], "min_void"),
