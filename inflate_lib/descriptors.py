@@ -15,8 +15,8 @@ AXIS_POINTS = 30
 
 #: The paper's five descriptors, each with a model of its own, and the length N of each as a vector.
 DESCRIPTORS = {"height": 1, "width": 1, "box": 2, "area": 1, "axis": 2 * AXIS_POINTS}
-#: The physical ones. Peaks are skewed, so their vectors hold natural logarithms: min–max scaled, a few large peaks
-#: do not press all others together, and equal steps are equal relative errors, by which designs are judged.
+#: The physical ones, as natural logarithms: equal steps are then equal relative errors, by which designs are judged,
+#: and the skew of the peaks goes, so that a few large ones do not take up half of the range that is scaled to [0, 1].
 PHYSICAL = {"stress": 1, "stretch": 1}
 #: Parts of the descriptor "joint", of which a model can be asked for any combination, and their lengths; the axis last.
 PARTS = {"height": 1, "width": 1, "area": 1, **PHYSICAL, "axis": 2 * AXIS_POINTS}

@@ -5,7 +5,8 @@ stress across the plane. With φ′J = (P − μ F) : F / 2, the Cauchy stress i
 
     σ = P Fᵀ / J in the plane,   σ₃₃ = μ / J + φ′   (for one point: λ ln J / J),
 
-and the von Mises stress is that of all of it: √(½ [(σ₁₁ − σ₂₂)² + (σ₂₂ − σ₃₃)² + (σ₃₃ − σ₁₁)²] + 3 σ₁₂²).
+and the von Mises stress is that of all of it: √(½ [(σ₁₁ − σ₂₂)² + (σ₂₂ − σ₃₃)² + (σ₃₃ − σ₁₁)²] + 3 σ₁₂²). As
+σ = μ b / J + φ′ I with b = F Fᵀ and b₃₃ = 1, and pressure has no part in it, it is that of μ b / J.
 """
 
 from dataclasses import replace
@@ -36,10 +37,11 @@ def cauchy_stress(result):
 
 def von_mises(result):
     """(steps, m) von Mises stress of each element, the mean over its Gauss points, with σ₃₃; units of λ and μ."""
-    s = cauchy_stress(result)
-    normal = np.diagonal(s, axis1=-2, axis2=-1)
-    differences = ((normal - np.roll(normal, -1, axis=-1)) ** 2).sum(-1)
-    return np.sqrt(differences / 2 + 3 * s[..., 0, 1] ** 2).mean(-1)
+    F = result.deformation_gradient
+    xx, yy = np.moveaxis((F**2).sum(-1), -1, 0)  # of b
+    xy = (F[..., 0, :] * F[..., 1, :]).sum(-1)
+    squares = ((xx - yy) ** 2 + (yy - 1) ** 2 + (1 - xx) ** 2) / 2 + 3 * xy**2
+    return (result.lame[1] / area_ratio(result) * np.sqrt(squares)).mean(-1)
 
 
 def largest_stretch(result):
