@@ -256,7 +256,8 @@ def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
     assert found.table().columns[:3].tolist() == ["design", "within", "error height (%)"]
 
 
-def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, model):
+def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, model, monkeypatch):
+    monkeypatch.setattr(inverse_design, "BATCH", 16)
     config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()))
     model.config, model.condition_min, model.condition_max = config, np.full(65, -5.0), np.full(65, 5.0)
     height, stress = float(np.median(data.height)), float(np.median(data.peak_stress))
