@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from inflate_lib import contact, descriptors
-from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, PHYSICAL, describe, descriptor_matrix, in_units
+from inflate_lib import contact
+from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, PHYSICAL, describe, descriptor_matrix
 
 SHAPE = ("height", "width", "area")
 SCALARS = (*SHAPE, *PHYSICAL)
@@ -72,18 +72,13 @@ class Targets:
         return tuple(name for name in (*SCALARS, "axis") if getattr(self, name) is not None)
 
     def vector(self, name):
-        """(N,) the target of one descriptor as a model is told it, NaN where it is not asked for.
-
-        An axis says what the height is.
-        """
+        """(N,) the target of one descriptor, NaN where it is not asked for; an axis says what the height is."""
         if name in ("box", JOINT):
             return np.concatenate([self.vector(part) for part in (PARTS if name == JOINT else ("height", "width"))])
         if name == "height" and self.height is None and self.axis is not None:
             return np.array([axis_height(self.axis)])
         value = getattr(self, name)
-        if value is None:
-            return np.full(PARTS[name], np.nan)
-        return np.ravel(np.log(value) if name in PHYSICAL else value)
+        return np.full(PARTS[name], np.nan) if value is None else np.ravel(value)
 
     def as_dict(self):
         """Plain numbers for JSON, of what is asked for."""
@@ -286,20 +281,19 @@ def check_reach(targets, data):
     for name in SCALARS:
         wanted = getattr(targets, name)
         if not problem and wanted is not None:
-            reached = in_units(name, values[name])
-            inside = reached.min() * (1 - AGREE) <= wanted <= reached.max() * (1 + AGREE)
-            problem = "" if inside else f"{name} {wanted:.4g} is out of reach"
+            least, most = values[name].min() * (1 - AGREE), values[name].max() * (1 + AGREE)
+            problem = "" if least <= wanted <= most else f"{name} {wanted:.4g} is out of reach"
     if not problem and miss[nearest] > REACH:
         together = "the axis" if targets.asked == ("axis",) else "together they"
         problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
     if not problem:
         return
     shown = [name for name in SCALARS if name in targets.asked or (name in SHAPE and "axis" in targets.asked)]
-    ranges = {name: in_units(name, descriptor_matrix(data, name)) for name in shown}
+    ranges = {name: descriptor_matrix(data, name) for name in shown}
     reach = ", ".join(f"{name} {v.min():.3f} to {v.max():.3f}" for name, v in ranges.items())
     if len(targets.asked) == 1 and targets.asked[0] in SCALARS:
         (name,) = targets.asked
-        there = f"{name} {np.clip(getattr(targets, name), ranges[name].min(), ranges[name].max()):.3f}"
+        there = f"{name} {np.clip(getattr(targets, name), values[name].min(), values[name].max()):.3f}"
     else:
         there = ", ".join(f"{name} {v[nearest, 0]:.3f}" for name, v in ranges.items())
         if "axis" in targets.asked:
@@ -328,7 +322,7 @@ def _miss(targets, name, values):
     """Relative errors (n,) of descriptor vectors (n, N)."""
     wanted = targets.vector(name)
     if name != "axis":
-        return descriptors.relative_errors(name, values, wanted)[:, 0]
+        return np.abs(values[:, 0] / wanted[0] - 1)
     apart = (values - wanted).reshape(len(values), -1, 2)
     return np.linalg.norm(apart, axis=-1).mean(axis=1) / axis_height(targets.axis)
 

@@ -8,7 +8,7 @@ resamples of the structures, and the range that holds the middle 95 % of the res
 import numpy as np
 import pandas as pd
 
-from inflate_lib.descriptors import descriptor_matrix, relative_errors
+from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.generation import COMPONENTS
 
 PIXEL = 1 / 28  # in lengths of the unit square
@@ -38,7 +38,7 @@ def misses(descriptor, achieved, target):
     """:func:`errors` of descriptors that are given as arrays, achieved and target (n, N)."""
     if descriptor == "axis":
         return point_distances(achieved, target).mean(axis=1)
-    return relative_errors(descriptor, achieved, target).mean(axis=1)
+    return np.abs(achieved / target - 1).mean(axis=1)
 
 
 def point_distances(axes, others):

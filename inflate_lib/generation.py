@@ -32,7 +32,7 @@ PIECE = 128  # structures generated at a time, which is what a killed run can lo
 
 #: What one component of each descriptor is called in tables and messages.
 COMPONENTS = {"height": ["h"], "width": ["w"], "box": ["h", "w"], "area": ["A"]}
-COMPONENTS |= {"stress": ["ln stress"], "stretch": ["ln stretch"]}
+COMPONENTS |= {"stress": ["stress"], "stretch": ["stretch"]}
 
 
 def run_experiment(

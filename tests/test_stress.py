@@ -5,7 +5,6 @@ import pytest
 from mechanics_peers import hook
 
 from inflate_lib import describe, inflate
-from inflate_lib.descriptors import relative_errors
 from inflate_lib.inflation import LAMBDA, MU, PRESSURE, Inflation
 from inflate_lib.mesh import Mesh
 from inflate_lib.stress import peaks, von_mises
@@ -60,9 +59,3 @@ def test_a_shape_without_material_has_no_peaks():
     assert np.array_equal(by_nodes.vector("axis"), whole.vector("axis"))
     assert (whole.peak_stress, whole.peak_stretch) == peaks(result)
     assert describe(result, 0).peak_stress == peaks(result, 0)[0]
-
-
-def test_errors_of_logarithms_are_those_of_what_they_are_of():
-    wanted, achieved = np.array([[0.2], [0.3]]), np.array([[0.25], [0.24]])
-    for name, told in (("stress", np.log), ("stretch", np.log), ("height", np.array)):
-        assert np.allclose(relative_errors(name, told(achieved), told(wanted)), [[0.25], [0.2]], rtol=1e-12)
