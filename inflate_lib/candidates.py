@@ -123,10 +123,11 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
 def most_promising(pixels, label, result, targets, symmetric=False):
     """`pixels` (k, 2) in the order of the largest error to expect where one is flipped, the smallest first.
 
-    Height, width and area are expected to change as :func:`.sensitivity.flip_changes` says; an axis, to stay.
+    Height, width and area are expected to change as :func:`.sensitivity.flip_changes` says; all else, to stay.
     """
     shape, mirror = describe(result), mirror_columns(label)
-    expected = np.full(len(pixels), errors(targets, shape).get("axis", 0.0))
+    stays = [miss for name, miss in errors(targets, shape).items() if name not in SCALARS]
+    expected = np.full(len(pixels), max(stays, default=0.0))
     for name in (name for name in targets.asked if name in SCALARS):
         change = flip_changes(label, sensitivities(result, name))
         if symmetric:  # of both pixels; one in the middle is its own mirror image

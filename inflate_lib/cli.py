@@ -128,6 +128,10 @@ def design(
     height: Annotated[float | None, typer.Option(help="Height of the inflated structure; the frame is 1.")] = None,
     width: Annotated[float | None, typer.Option(help="Width of the inflated structure.")] = None,
     area: Annotated[float | None, typer.Option(help="Area of its convex hull.")] = None,
+    stress: Annotated[
+        float | None, typer.Option(help="Peak von Mises stress, in the units of λ and μ (16.44 and 0.1644).")
+    ] = None,
+    stretch: Annotated[float | None, typer.Option(help="Largest principal stretch.")] = None,
     axis: Annotated[Path | None, typer.Option(help="Medial axis: CSV, x,y per line from bottom to top.")] = None,
     outline: Annotated[Path | None, typer.Option(help="The inflated shape, drawn: SVG, or a two-coloured PNG.")] = None,
     outline_unit: Annotated[
@@ -158,7 +162,8 @@ def design(
 ) -> None:
     """Design structures that inflate to a size or a shape of your own; every one is verified by inflating it.
 
-    Give any of --height, --width, --area, --axis, or an --outline. Targets are in sides of the frame, the rest in mm.
+    Give any of --height, --width, --area, --axis, or an --outline, in sides of the frame; the rest is in mm. With the
+    joint model (inflate train --descriptor joint) --stress and --stretch may be asked for as well, or alone.
     """
     from inflate_lib.constraints import from_millimetres
     from inflate_lib.design_files import check_folder, check_sizes, save_designs
@@ -166,7 +171,8 @@ def design(
     from inflate_lib.inverse_design import design
 
     check_sizes(size_mm=size_mm, depth_mm=depth_mm)
-    targets = read_targets(height, width, area, axis, outline, size_mm if outline_unit is None else outline_unit)
+    unit = size_mm if outline_unit is None else outline_unit
+    targets = read_targets(height, width, area, axis, outline, unit, stress, stretch)
     constraints = from_millimetres(size_mm, min_void_mm, max_material_mm2, symmetric, keep_out_mm)
     check_folder(out, overwrite)
     try:
@@ -189,7 +195,7 @@ def design(
 
 @app.command()
 def train(
-    descriptor: Annotated[str, typer.Option(help="height, width, box, area, axis, or all.")] = "all",
+    descriptor: Annotated[str, typer.Option(help="height, width, box, area, axis, joint, or all but joint.")] = "all",
     profile: ProfileName = "ci",
     device: Annotated[str | None, typer.Option(help="cpu, cuda or mps; found by itself otherwise.")] = None,
     compile: Annotated[bool, typer.Option("--compile", help="With torch.compile.")] = False,

@@ -19,9 +19,21 @@ from joblib import Parallel, delayed, effective_n_jobs
 from joblib.parallel import BACKENDS, EXTERNAL_BACKENDS, get_active_backend
 
 import inflate_lib
-from inflate_lib import cluster, contact, descriptors, inflation, material, mesh, progress, sources, sparse, structures
+from inflate_lib import (
+    cluster,
+    contact,
+    descriptors,
+    inflation,
+    material,
+    mesh,
+    progress,
+    sources,
+    sparse,
+    stress,
+    structures,
+)
 from inflate_lib.cache import cached, code_version, digest
-from inflate_lib.descriptors import AXIS_POINTS
+from inflate_lib.descriptors import AXIS_POINTS, VARIABLES
 
 # xarray is imported where it is used: the processes that simulate need none, and start in half the time without.
 
@@ -35,6 +47,8 @@ _UNITS = {
     "width": ("deformed width w", "1"),
     "hull_area": ("area A of the deformed convex hull", "1"),
     "medial_axis": ("medial axis of the deformed shape, bottom to top, first point at the origin", "1"),
+    "peak_stress": ("largest von Mises stress of any element, in the units of lambda and mu", "1"),
+    "peak_stretch": ("largest principal stretch of any element", "1"),
     "image": ("grey image of the undeformed structure", "1"),
     "label": ("label image: 0 outside, 0.5 wall, 1 void", "1"),
     "converged": ("every load step reached equilibrium", "1"),
@@ -74,8 +88,9 @@ def simulate_dataset(images, n_jobs=None, n_steps=10, progress_text=True, folder
     -------
     xarray.Dataset
         One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged),
-        height, width, hull_area, medial_axis (structure, point, axis), factorisations, self_contact, contact_step
-        (see :mod:`inflate_lib.contact`). Descriptors are in lengths and areas of the unit square, NaN where not
+        height, width, hull_area, medial_axis (structure, point, axis), peak_stress, peak_stretch (see
+        :func:`inflate_lib.stress.peaks`), factorisations, self_contact, contact_step (see
+        :mod:`inflate_lib.contact`). Descriptors are in lengths and areas of the unit square, NaN where not
         converged.
 
     Raises
@@ -145,7 +160,7 @@ def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend
 
 @cache
 def _code():
-    return code_version(structures, mesh, sparse, material, inflation, descriptors, contact, __name__)
+    return code_version(structures, mesh, sparse, material, inflation, stress, descriptors, contact, __name__)
 
 
 def held_out(n):
@@ -181,7 +196,8 @@ def load_dataset(path):
         data = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as a netCDF data set: {error}") from None
-    if missing := {"image", "converged", "reason", "height", "width", "hull_area", "medial_axis"} - set(data.variables):
+    needed = {"image", "converged", "reason"}.union(*VARIABLES.values())
+    if missing := needed - set(data.variables):
         raise ValueError(f"{path} is no data set of inflated structures; it lacks {', '.join(sorted(missing))}")
     return data
 
@@ -295,6 +311,8 @@ def _simulate(images, reasons, n_steps, time_limit):
         "width": np.full(n, np.nan),
         "hull_area": np.full(n, np.nan),
         "medial_axis": np.full((n, AXIS_POINTS, 2), np.nan),
+        "peak_stress": np.full(n, np.nan),
+        "peak_stretch": np.full(n, np.nan),
         "factorisations": np.zeros(n, dtype=np.int32),
         "self_contact": np.zeros(n, dtype=np.int32),
         "contact_step": np.zeros(n, dtype=np.int32),
@@ -315,6 +333,7 @@ def _simulate(images, reasons, n_steps, time_limit):
         rows["converged"][i] = True
         rows["height"][i], rows["width"][i], rows["hull_area"][i] = shape.height, shape.width, shape.hull_area
         rows["medial_axis"][i] = shape.medial_axis
+        rows["peak_stress"][i], rows["peak_stretch"][i] = shape.peak_stress, shape.peak_stretch
         if (first := contact.first_contact(result)) is not None:
             rows["contact_step"][i], rows["self_contact"][i] = first + 1, contact.self_contact(result)
     rows["reason"] = np.array(rows["reason"])

@@ -1,17 +1,37 @@
-"""Descriptors of a deformed structure (paper sec. 3.1, Fig. 3): height, width, bounding box, hull area, medial axis."""
+"""Descriptors of a deformed structure (paper sec. 3.1, Fig. 3): height, width, bounding box, hull area, medial axis.
+
+Beside these five there are two physical ones, which the paper leaves to future work (sec. 5): the peak von Mises stress
+and the largest principal stretch, see :func:`inflate_lib.stress.peaks`.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from inflate_lib.stress import peaks
+
 AXIS_POINTS = 30
 
-#: The five descriptors that models are conditioned on, and the length N of each as a vector.
+#: The paper's five descriptors, each with a model of its own, and the length N of each as a vector.
 DESCRIPTORS = {"height": 1, "width": 1, "box": 2, "area": 1, "axis": 2 * AXIS_POINTS}
-#: Parts of the descriptor "joint", of which a model can be asked for any combination, and their lengths.
-PARTS = {"height": 1, "width": 1, "area": 1, "axis": 2 * AXIS_POINTS}
+#: The physical ones, told as they are: over MNIST's sevens their skewness is 0.5 and 0.3. Logarithms of the stress have
+#: one of -0.5, and would leave less of the scaled range [0, 1] to the bulk, not more.
+PHYSICAL = {"stress": 1, "stretch": 1}
+#: Parts of the descriptor "joint", of which a model can be asked for any combination, and their lengths; the axis last.
+PARTS = {"height": 1, "width": 1, "area": 1, **PHYSICAL, "axis": 2 * AXIS_POINTS}
 JOINT = "joint"
+
+#: Variables of a data set that each descriptor but "joint" is made of.
+VARIABLES = {
+    "height": ["height"],
+    "width": ["width"],
+    "box": ["height", "width"],
+    "area": ["hull_area"],
+    "axis": ["medial_axis"],
+    "stress": ["peak_stress"],
+    "stretch": ["peak_stretch"],
+}
 
 
 @dataclass(frozen=True)
@@ -29,12 +49,17 @@ class Descriptors:
     medial_axis : (30, 2) float
         Midpoints of the hull's horizontal chords at the heights k h / 30, k = 0, …, 29, from the hull's bottom upwards,
         moved so that the first is the origin.
+    peak_stress, peak_stretch : float
+        Largest von Mises stress, in the units of λ and μ, and largest principal stretch of any element, the mean over
+        its Gauss points (:func:`inflate_lib.stress.peaks`); NaN for a shape that is known by its nodes alone.
     """
 
     height: float
     width: float
     hull_area: float
     medial_axis: np.ndarray
+    peak_stress: float = np.nan
+    peak_stretch: float = np.nan
 
     @property
     def bounding_box(self):
@@ -43,31 +68,30 @@ class Descriptors:
 
     def vector(self, name):
         """(N,) the descriptor `name` as a model is conditioned on it."""
-        values = {
-            "height": [self.height],
-            "width": [self.width],
-            "box": [self.height, self.width],
-            "area": [self.hull_area],
-            "axis": self.medial_axis.ravel(),
-            JOINT: [self.height, self.width, self.hull_area, *self.medial_axis.ravel()],
-        }
-        return np.array(values[check_name(name)], dtype=float)
+        return _vectors(name, lambda variable: np.reshape(getattr(self, variable), (1, -1)))[0]
+
+
+def _vectors(name, values):
+    """(n, N) one descriptor as a model is conditioned on it, from ``values(variable)``, (n, ·) each."""
+    if name == JOINT:
+        return np.column_stack([_vectors(part, values) for part in PARTS])
+    return np.column_stack([values(variable) for variable in VARIABLES[check_name(name)]])
 
 
 def check_name(name):
     """Return `name`, or raise a ValueError that lists the descriptors."""
-    if name not in DESCRIPTORS and name != JOINT:
-        raise ValueError(f"unknown descriptor {name!r}; choose one of {', '.join(DESCRIPTORS)}, {JOINT}")
+    if name not in VARIABLES and name != JOINT:
+        raise ValueError(f"unknown descriptor {name!r}; choose one of {', '.join(VARIABLES)}, {JOINT}")
     return name
 
 
 def length(name):
     """Number of components of a descriptor."""
-    return (DESCRIPTORS | {JOINT: sum(PARTS.values())})[check_name(name)]
+    return (DESCRIPTORS | PHYSICAL | {JOINT: sum(PARTS.values())})[check_name(name)]
 
 
 def joint_conditions(name, values):
-    """Descriptors (n, N) as a model of the descriptor "joint" is told them, (n, 63): NaN for what is not asked for."""
+    """Descriptors (n, N) as a model of the descriptor "joint" is told them, (n, 65): NaN for what is not asked for."""
     values = np.asarray(values, dtype=float)
     asked = {"box": ("height", "width"), JOINT: tuple(PARTS)}.get(check_name(name), (name,))
     columns = np.isin(np.repeat(list(PARTS), list(PARTS.values())), asked)
@@ -116,7 +140,8 @@ def describe(result, step=-1):
     except QhullError:
         raise ValueError("the deformed nodes span no area, so they have no convex hull") from None
     width, height = np.ptp(nodes, axis=0)
-    return Descriptors(float(height), float(width), float(hull.volume), medial_axis(nodes[hull.vertices]))
+    at_peak = peaks(result, step) if hasattr(result, "deformed") else ()
+    return Descriptors(float(height), float(width), float(hull.volume), medial_axis(nodes[hull.vertices]), *at_peak)
 
 
 def medial_axis(hull, points=AXIS_POINTS):
@@ -175,20 +200,12 @@ def descriptor_matrix(data, name):
     ----------
     data : xarray.Dataset
         From :func:`inflate_lib.simulate_dataset`.
-    name : {"height", "width", "box", "area", "axis", "joint"}
+    name : {"height", "width", "box", "area", "axis", "stress", "stretch", "joint"}
 
     Returns
     -------
     (n, N) float
-        Box as (height, width); the medial axis point by point (x₀, y₀, x₁, y₁, …); joint as height, width, area, axis.
-        NaN where a structure did not converge.
+        Box as (height, width); the medial axis point by point (x₀, y₀, x₁, y₁, …); joint as height, width, area,
+        stress, stretch, axis. NaN where a structure did not converge.
     """
-    columns = {
-        "height": ["height"],
-        "width": ["width"],
-        "box": ["height", "width"],
-        "area": ["hull_area"],
-        "axis": ["medial_axis"],
-        JOINT: ["height", "width", "hull_area", "medial_axis"],
-    }[check_name(name)]
-    return np.column_stack([data[column].values.reshape(data.sizes["structure"], -1) for column in columns])
+    return _vectors(name, lambda variable: data[variable].values.reshape(data.sizes["structure"], -1))

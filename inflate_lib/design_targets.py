@@ -7,16 +7,17 @@ contradicts itself is refused, and so is what no structure of the data set comes
 import csv
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
 from inflate_lib import contact
-from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, describe, descriptor_matrix
+from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, PHYSICAL, describe, descriptor_matrix
 
-SCALARS = ("height", "width", "area")
+SHAPE = ("height", "width", "area")
+SCALARS = (*SHAPE, *PHYSICAL)
 AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
 REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
 MAX_SIZE = 2000  # pixels of a drawing, per side
@@ -32,6 +33,9 @@ class Targets:
     ----------
     height, width, area : float, optional
         Area is that of the convex hull. In lengths and areas of the unit square.
+    stress, stretch : float, optional
+        Peak von Mises stress, in the units of λ and μ, and largest principal stretch, at least 1, as in
+        :func:`inflate_lib.stress.peaks`.
     axis : (30, 2) float, optional
         Medial axis, the first point at the origin.
     outline : (k, 2) float, optional
@@ -43,6 +47,8 @@ class Targets:
     area: float | None = None
     axis: np.ndarray | None = None
     outline: np.ndarray | None = None
+    stress: float | None = None
+    stretch: float | None = None
 
     def __post_init__(self):
         for name in SCALARS:
@@ -53,6 +59,8 @@ class Targets:
             if not number or not 0 < value < np.inf:
                 raise ValueError(f"{name} must be a positive number, not {value!r}")
             object.__setattr__(self, name, float(value))
+        if self.stretch is not None and self.stretch < 1:
+            raise ValueError(f"stretch is the largest ratio of lengths, at least 1, not {self.stretch:g}")
         if self.axis is not None:
             object.__setattr__(self, "axis", check_axis(self.axis))
         if not self.asked:
@@ -60,7 +68,7 @@ class Targets:
 
     @property
     def asked(self):
-        """Names of the descriptors that are asked for: "height", "width", "area", "axis"."""
+        """Names of the descriptors that are asked for: "height", "width", "area", "stress", "stretch", "axis"."""
         return tuple(name for name in (*SCALARS, "axis") if getattr(self, name) is not None)
 
     def vector(self, name):
@@ -84,7 +92,7 @@ def as_targets(targets):
     ----------
     targets : Targets or Mapping
         Keys "height", "width", "area", "axis" (30 points, or a polyline from the bottom to the top of the shape), and
-        "outline" (corners of a polygon, which gives all four).
+        "outline" (corners of a polygon, which gives all four); "stress" and "stretch" go with any of them.
 
     Raises
     ------
@@ -101,9 +109,10 @@ def as_targets(targets):
     given = {name: value for name, value in targets.items() if value is not None}
     if "outline" not in given:
         return Targets(**given)
+    physical = {name: given.pop(name) for name in PHYSICAL if name in given}
     if len(given) > 1:
         raise ValueError("an outline gives height, width, area and axis: leave the others out")
-    return outline_targets(given["outline"])
+    return replace(outline_targets(given["outline"]), **physical)
 
 
 def outline_targets(points):
@@ -134,7 +143,7 @@ def outline_targets(points):
     return Targets(shape.height, shape.width, shape.hull_area, shape.medial_axis, points - [0, points[:, 1].min()])
 
 
-def read_targets(height=None, width=None, area=None, axis=None, outline=None, unit=1.0):
+def read_targets(height=None, width=None, area=None, axis=None, outline=None, unit=1.0, stress=None, stretch=None):
     """Targets from numbers and files; None where not asked for. See :func:`read_axis` and :func:`read_outline`.
 
     Raises
@@ -142,7 +151,7 @@ def read_targets(height=None, width=None, area=None, axis=None, outline=None, un
     ValueError
         Where a file is no such file, where nothing is asked for, or more than an outline leaves open.
     """
-    given = {"height": height, "width": width, "area": area}
+    given = {"height": height, "width": width, "area": area, "stress": stress, "stretch": stretch}
     given["axis"] = None if axis is None else read_axis(axis)
     given["outline"] = None if outline is None else read_outline(outline, unit)
     try:
@@ -279,7 +288,7 @@ def check_reach(targets, data):
         problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
     if not problem:
         return
-    shown = [name for name in SCALARS if name in targets.asked or "axis" in targets.asked]
+    shown = [name for name in SCALARS if name in targets.asked or (name in SHAPE and "axis" in targets.asked)]
     ranges = {name: descriptor_matrix(data, name) for name in shown}
     reach = ", ".join(f"{name} {v.min():.3f} to {v.max():.3f}" for name, v in ranges.items())
     if len(targets.asked) == 1 and targets.asked[0] in SCALARS:
@@ -298,7 +307,7 @@ def check_reach(targets, data):
 
 def contradiction(targets):
     """Why no shape at all can meet the targets, or an empty text."""
-    height, width, area = (targets.vector(name)[0] for name in SCALARS)
+    height, width, area = (targets.vector(name)[0] for name in SHAPE)
     if targets.axis is not None:
         if abs(axis_height(targets.axis) / height - 1) > AGREE:
             return f"height {height:.4g} contradicts the axis, which belongs to height {axis_height(targets.axis):.4g}"

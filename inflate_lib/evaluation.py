@@ -28,8 +28,8 @@ def errors(experiment, descriptor):
     Returns
     -------
     (n,) float
-        Height, width, area: relative error ``|achieved − target| / target``. Box: the mean of its two relative errors.
-        Axis: mean distance of the thirty points, in pixels. NaN where the structure did not converge.
+        Scalars: relative error ``|achieved − target| / target``. Box: the mean of its two relative errors. Axis: mean
+        distance of the thirty points, in pixels. NaN where the structure did not converge.
     """
     return misses(descriptor, descriptor_matrix(experiment, descriptor), experiment["target"].values)
 

@@ -1,83 +1,18 @@
-"""From an inflated structure to what mechanicians look at: stresses, a picture, an animation, a ParaView series.
-
-Stresses follow from P = μ F + φ′(J) cof F of :mod:`inflate_lib.inflation`. Plane strain means F₃₃ = 1, which leaves a
-stress across the plane. With φ′J = (P − μ F) : F / 2, the Cauchy stress is
-
-    σ = P Fᵀ / J in the plane,   σ₃₃ = μ / J + φ′   (for one point: λ ln J / J),
-
-and the von Mises stress is that of all of it: √(½ [(σ₁₁ − σ₂₂)² + (σ₂₂ − σ₃₃)² + (σ₃₃ − σ₁₁)²] + 3 σ₁₂²).
-"""
+"""From an inflated structure to what mechanicians look at: a picture, an animation, a ParaView series."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
-#: What a picture can be coloured by: the function of this module, the label of its colour bar, the value at rest.
+from inflate_lib import stress
+
+#: What a picture can be coloured by: the function of ``stress``, the label of its colour bar, the value at rest.
 QUANTITIES = {
     "von-mises": ("von_mises", "von Mises stress", 0.0),
     "stretch": ("largest_stretch", "largest stretch", 1.0),
 }
-
-
-def cauchy_stress(result):
-    """(steps, m, 4, 3, 3) Cauchy stress σ at the Gauss points, in the units of λ and μ; zero where none is written.
-
-    Parameters
-    ----------
-    result : Inflation
-
-    Returns
-    -------
-    ndarray
-        NaN at load steps without equilibrium. With mean dilatation φ′ is the element's, as in the equilibrium.
-    """
-    F, P, J = result.deformation_gradient, result.first_piola_kirchhoff, _area_ratio(result)
-    mu = result.lame[1]
-    slope = ((P - mu * F) * F).sum((-1, -2)) / (2 * J)  # φ′
-    sigma = np.zeros((*F.shape[:-2], 3, 3))
-    sigma[..., :2, :2] = P @ np.swapaxes(F, -1, -2) / J[..., None, None]
-    sigma[..., 2, 2] = mu / J + slope
-    return sigma
-
-
-def von_mises(result):
-    """(steps, m) von Mises stress of each element, the mean over its Gauss points, with σ₃₃; units of λ and μ."""
-    s = cauchy_stress(result)
-    normal = np.diagonal(s, axis1=-2, axis2=-1)
-    differences = ((normal - np.roll(normal, -1, axis=-1)) ** 2).sum(-1)
-    return np.sqrt(differences / 2 + 3 * s[..., 0, 1] ** 2).mean(-1)
-
-
-def largest_stretch(result):
-    """(steps, m) largest principal stretch in the plane of each element, the mean over its Gauss points."""
-    F = result.deformation_gradient
-    trace = (F**2).sum((-1, -2))  # λ₁² + λ₂²
-    J = _area_ratio(result)  # λ₁ λ₂
-    return np.sqrt((trace + np.sqrt(np.maximum(trace**2 - 4 * J**2, 0))) / 2).mean(-1)
-
-
-def peaks(result, step=-1):
-    """Peak von Mises stress and largest principal stretch at a load step (the last one by default), of any element.
-
-    They sit in the corners of the cavity and grow as the mesh is refined, without bound in the limit of a sharp corner:
-    compare structures on equal meshes.
-
-    Returns
-    -------
-    (float, float)
-        In the units of λ and μ, and a ratio of lengths; NaN where there is no equilibrium.
-    """
-    at = replace(result, displacement=result.displacement[[step]])
-    return float(von_mises(at).max()), float(largest_stretch(at).max())
-
-
-def _area_ratio(result):
-    """(steps, m, 4) J at the Gauss points; not numpy's determinant, which warns where there is no equilibrium."""
-    F = result.deformation_gradient
-    return F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
 
 
 def reached_steps(result):
@@ -197,11 +132,11 @@ def write_vtk(result, path):
 def _cell_fields(result):
     """(steps + 1, m, …) cell data by name; the first row is the undeformed state."""
     m = len(result.cells)
-    sigma = cauchy_stress(result)
+    sigma = stress.cauchy_stress(result)
     F, P = np.zeros((2, *sigma.shape))
     F[..., :2, :2], F[..., 2, 2] = result.deformation_gradient, 1.0
     P[..., :2, :2] = result.first_piola_kirchhoff
-    P[..., 2, 2] = sigma[..., 2, 2] * _area_ratio(result)  # P = J σ F⁻ᵀ, and F₃₃ = 1
+    P[..., 2, 2] = sigma[..., 2, 2] * stress.area_ratio(result)  # P = J σ F⁻ᵀ, and F₃₃ = 1
 
     def rows(tensor, start):
         return np.concatenate([np.broadcast_to(start.ravel(), (1, m, 9)), tensor.mean(axis=2).reshape(-1, m, 9)])
@@ -210,8 +145,8 @@ def _cell_fields(result):
         "F": rows(F, np.eye(3)),
         "P": rows(P, np.zeros((3, 3))),
         "cauchy_stress": rows(sigma, np.zeros((3, 3))),
-        "von_mises": np.concatenate([np.zeros((1, m)), von_mises(result)]),
-        "largest_stretch": np.concatenate([np.ones((1, m)), largest_stretch(result)]),
+        "von_mises": np.concatenate([np.zeros((1, m)), stress.von_mises(result)]),
+        "largest_stretch": np.concatenate([np.ones((1, m)), stress.largest_stretch(result)]),
     }
 
 
@@ -220,7 +155,7 @@ def _coloured(result, quantity):
     if quantity not in QUANTITIES:
         raise ValueError(f"colour must be one of {', '.join(QUANTITIES)}, not {quantity!r}")
     function, label, at_rest = QUANTITIES[quantity]
-    values = globals()[function](result)
+    values = getattr(stress, function)(result)
     return np.concatenate([np.full_like(values[:1], at_rest), values]), label
 
 

@@ -20,6 +20,7 @@ from inflate_lib import (
     mesh,
     progress,
     sparse,
+    stress,
     structures,
 )
 from inflate_lib.cache import cached, code_version, digest
@@ -31,6 +32,7 @@ PIECE = 128  # structures generated at a time, which is what a killed run can lo
 
 #: What one component of each descriptor is called in tables and messages.
 COMPONENTS = {"height": ["h"], "width": ["w"], "box": ["h", "w"], "area": ["A"]}
+COMPONENTS |= {"stress": ["stress"], "stretch": ["stretch"]}
 
 
 def run_experiment(
@@ -247,7 +249,8 @@ def model_digest(model):
 
 def code():
     """Version of all code between a model and the descriptors of what it draws."""
-    return code_version(diffusion, structures, mesh, sparse, material, inflation, contact, descriptors, __name__)
+    steps = structures, mesh, sparse, material, inflation, stress, contact, descriptors
+    return code_version(diffusion, *steps, __name__)
 
 
 def _draw(model, targets, seed, sampling, folder):

@@ -20,12 +20,11 @@ from inflate_lib.candidates import attempt
 from inflate_lib.candidates import refine as refine_structure
 from inflate_lib.constraints import Constraints, mirrored
 from inflate_lib.datasets import simulated_sevens
-from inflate_lib.descriptors import JOINT, Descriptors, describe
+from inflate_lib.descriptors import JOINT, PARTS, PHYSICAL, Descriptors, describe
 from inflate_lib.design_targets import Targets, as_targets, check_reach, errors
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.diffusion.storage import fingerprint
 from inflate_lib.experiments import trained_models
-from inflate_lib.export import peaks
 from inflate_lib.inflation import Inflation
 from inflate_lib.profiles import load_profile
 from inflate_lib.structures import FRAME, OUTSIDE
@@ -54,8 +53,6 @@ class Design:
         Relative error of each target, see :func:`inflate_lib.design_targets.errors`.
     within : bool
         All of them are within the tolerance.
-    peak_stress, peak_stretch : float
-        Largest von Mises stress and principal stretch of any element, see :func:`inflate_lib.export.peaks`.
     candidate : int
         Its number among all candidates.
     origin : dict
@@ -68,8 +65,6 @@ class Design:
     shape: Descriptors
     errors: dict
     within: bool
-    peak_stress: float
-    peak_stretch: float
     candidate: int
     origin: dict
 
@@ -111,7 +106,7 @@ class Designs:
             row = {"design": number, "within": one.within}
             row |= {f"error {name} (%)": 100 * value for name, value in one.errors.items()}
             row |= {"height": one.shape.height, "width": one.shape.width, "area": one.shape.hull_area}
-            rows.append(row | {"peak stress": one.peak_stress, "peak stretch": one.peak_stretch})
+            rows.append(row | {"peak stress": one.shape.peak_stress, "peak stretch": one.shape.peak_stretch})
         names = [f"error {name} (%)" for name in self.targets.asked]
         columns = ["design", "within", *names, "height", "width", "area", "peak stress", "peak stretch"]
         return pd.DataFrame(rows, columns=columns)
@@ -158,7 +153,8 @@ def design(
     Parameters
     ----------
     targets : Targets or Mapping
-        Any of height, width, area, axis; or an outline. See :func:`inflate_lib.design_targets.as_targets`.
+        Any of height, width, area, axis, stress, stretch; or an outline. See
+        :func:`inflate_lib.design_targets.as_targets`.
     n : int
         Number of designs.
     model : (str, TrainedModel), optional
@@ -201,6 +197,7 @@ def design(
     _check(n, tolerance, prefer, seed, seconds, max_candidates, refine)
     _check_symmetric(targets, constraints, tolerance)
     name, model = model or find_model(targets, profile)
+    _check_model(name, model, targets)
     if data is None:
         data = simulated_sevens(model.metadata.get("source", "auto"))
     check_reach(targets, data)
@@ -247,13 +244,20 @@ def find_model(targets, profile=None):
     That is the joint model where it is there, else the one of a single descriptor. Committed weights come first, the
     best ones of ``data/pretrained`` or those of `profile`; else the model of the profile (``ci`` by default) is found
     in the cache or trained.
+
+    Raises
+    ------
+    ValueError
+        Where stress or stretch is asked for, which the joint model alone takes, and it is not there.
     """
-    asked = targets.asked
-    fitting = [name for name, takes in MODELS.items() if set(takes) <= set(asked)]
+    asked = set(targets.asked)
+    fitting = [JOINT] if asked & set(PHYSICAL) else [name for name, takes in MODELS.items() if set(takes) <= asked]
     for folder in (profile,) if profile else WEIGHTS:
         for name in fitting:
             if (path := paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
                 return name, TrainedModel.load(path)
+    if fitting == [JOINT]:
+        raise _no_joint_model(targets)
     single = fitting[1]
     given = load_profile(profile or WEIGHTS[-1]).parameters(paths.NOTEBOOKS / "08_training.md")
     data = simulated_sevens(given["source"], given["n_structures"] or None)
@@ -276,11 +280,11 @@ def choose(pool, n, prefer=None):
     """
     within = [one for one in pool if one.within]
     if prefer:
-        within.sort(key=lambda one: one.peak_stress, reverse=prefer == "high-stress")
+        within.sort(key=lambda one: one.shape.peak_stress, reverse=prefer == "high-stress")
         within = within[: max(n, len(within) // 2)]
     chosen = [within[i] for i in diverse([one.label for one in within], n)]
     if prefer:
-        chosen.sort(key=lambda one: one.peak_stress, reverse=prefer == "high-stress")
+        chosen.sort(key=lambda one: one.shape.peak_stress, reverse=prefer == "high-stress")
     else:
         chosen.sort(key=lambda one: one.error)
     return chosen + [one for one in pool if not one.within][: n - len(chosen)]
@@ -324,7 +328,7 @@ def _verified(images, batch, found, seen, n_jobs):
         miss = errors(found.targets, shape)
         within = max(miss.values()) <= found.tolerance
         origin = batch | {"row": row, "drawing": kind}
-        designs.append(Design(label, result, shape, miss, within, *peaks(result), batch["first"] + row, origin))
+        designs.append(Design(label, result, shape, miss, within, batch["first"] + row, origin))
     return designs
 
 
@@ -347,7 +351,7 @@ def _refined(designs, found, seen, tries, n_jobs):
         miss = errors(found.targets, shape)
         within = max(miss.values()) <= found.tolerance
         origin = one.origin | {"flipped": flipped}
-        better[id(one)] = Design(label, result, shape, miss, within, *peaks(result), one.candidate, origin)
+        better[id(one)] = Design(label, result, shape, miss, within, one.candidate, origin)
     found.refined += sum(one.within for one in better.values())
     return [better.get(id(one), one) for one in designs]
 
@@ -374,6 +378,26 @@ def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
             raise ValueError(f"{name} must be a positive number, not {value!r}")
     if prefer is not None and prefer not in PREFERENCES:
         raise ValueError(f"prefer must be one of {', '.join(PREFERENCES)}, not {prefer!r}")
+
+
+def _check_model(name, model, targets):
+    """Whether a model can be told the targets."""
+    if name != JOINT and set(PHYSICAL) & set(targets.asked):
+        raise _no_joint_model(targets)
+    if name == JOINT and model.config.parts != tuple(PARTS.values()):
+        raise ValueError(
+            f"the joint model was trained for parts of lengths {model.config.parts}, and {', '.join(PARTS)} have "
+            f"{tuple(PARTS.values())}: train it again (inflate train --descriptor joint)"
+        )
+
+
+def _no_joint_model(targets):
+    physical = " and ".join(name for name in PHYSICAL if name in targets.asked)
+    return ValueError(
+        f"{physical} can be asked of the joint model only, and its weights are not there: train it (inflate train "
+        f"--descriptor joint --profile laptop --out data/pretrained/laptop), or leave {physical} out and choose among "
+        "the designs for the other targets (--prefer low-stress or high-stress)"
+    )
 
 
 def _check_symmetric(targets, constraints, tolerance):

@@ -113,6 +113,7 @@ def test_rows_are_what_the_steps_give():
         assert bool(row.converged) and row.reason.item() == ""
         assert (row.height, row.width, row.hull_area) == (d.height, d.width, d.hull_area)
         assert np.array_equal(row.medial_axis, d.medial_axis)
+        assert (row.peak_stress, row.peak_stretch) == (d.peak_stress, d.peak_stretch)
 
 
 def test_self_contact_is_recorded():

@@ -58,7 +58,7 @@ def designs():
         miss = errors(targets, shape)
         origin = {"seed": 1, "row": number, "conditions": [0.9, float("nan")], "drawing": "as drawn"}
         label = label_image(image)
-        found.append(Design(label, result, shape, miss, number == 0, *export.peaks(result), number, origin))
+        found.append(Design(label, result, shape, miss, number == 0, number, origin))
     model = {"descriptor": "box", "weights": "0123", "source": "digits"}
     constraints = Constraints(min_void=1 / 28)
     return Designs(found, found[:1], targets, constraints, 0.01, 2, None, 7, model, {"sampler": "ddim"}, tried=9)

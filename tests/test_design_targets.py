@@ -8,6 +8,7 @@ from PIL import Image, ImageDraw
 
 from inflate_lib import describe
 from inflate_lib.datasets import simulate_dataset
+from inflate_lib.descriptors import joint_conditions
 from inflate_lib.design_targets import (
     Targets,
     as_targets,
@@ -116,8 +117,11 @@ def test_few_points_are_a_line_from_bottom_to_top():
 def test_what_is_not_asked_is_nan():
     targets = Targets(height=1.1, area=0.8)
     assert targets.asked == ("height", "area")
-    assert np.array_equal(targets.vector("joint"), [1.1, np.nan, 0.8, *[np.nan] * 60], equal_nan=True)
+    assert np.array_equal(targets.vector("joint"), [1.1, np.nan, 0.8, *[np.nan] * 62], equal_nan=True)
     assert np.array_equal(targets.vector("box"), [1.1, np.nan], equal_nan=True)
+    for name, value in (("height", 1.1), ("area", 0.8), ("stress", 0.2), ("stretch", 1.4)):
+        alone = Targets(**{name: value}).vector("joint")
+        assert np.array_equal(alone, joint_conditions(name, [[value]])[0], equal_nan=True)
 
 
 def test_errors_are_relative_and_zero_where_met(data):
@@ -132,8 +136,10 @@ def test_whatever_the_data_set_holds_is_within_reach(data):
     for row in range(data.sizes["structure"]):
         one = data.isel(structure=row)
         everything = {"height": float(one.height), "width": float(one.width), "area": float(one.hull_area)}
+        everything |= {"stress": float(one.peak_stress), "stretch": float(one.peak_stretch)}
         everything["axis"] = one.medial_axis.values
-        for names in (["height"], ["width", "area"], ["axis"], ["axis", "width"], list(everything)):
+        some = ["height"], ["width", "area"], ["stress", "stretch"], ["axis"], ["axis", "width"]
+        for names in (*some, list(everything)):
             check_reach(as_targets({name: everything[name] for name in names}), data)
 
 
@@ -164,6 +170,30 @@ def test_the_impossible_is_refused_with_the_range_and_the_nearest(data, targets,
     check_reach(as_targets(found), data)  # asking for it is no error
 
 
+@pytest.mark.parametrize("name", ["stress", "stretch"])
+def test_peaks_out_of_reach_are_refused_in_their_own_units(data, name):
+    values = data[f"peak_{name}"].values
+    for wanted in (1.01 * values.max(), 1.5 * values.max()):
+        with pytest.raises(ValueError, match=f"{name} {wanted:.4g} is out of reach") as refused:
+            check_reach(as_targets({name: wanted}), data)
+        assert f"reach {name} {values.min():.3f} to {values.max():.3f}" in str(refused.value)
+        assert str(refused.value).endswith(f"target is {name} {values.max():.3f}.")
+
+
+def test_the_stress_follows_from_the_stretch(data):
+    """Rubber keeps its volume: the largest stress with the smallest stretch is a contradiction, though each occurs."""
+    with pytest.raises(ValueError, match="together they cannot be reached"):
+        check_reach(Targets(stress=float(data.peak_stress.max()), stretch=float(data.peak_stretch.min())), data)
+
+
+def test_stress_goes_with_an_outline():
+    box = [(0, 0), (0.8, 0), (0.8, 1), (0, 1)]
+    targets = as_targets({"outline": box, "stress": 0.2})
+    assert targets.asked == ("height", "width", "area", "stress", "axis") and targets.outline is not None
+    assert targets.vector("joint")[:5] == pytest.approx([1, 0.8, 0.8, 0.2, np.nan], nan_ok=True)
+    assert targets.as_dict()["stress"] == 0.2
+
+
 def test_each_within_reach_is_not_both(data):
     """The tallest structure with the width of the slimmest one: both occur, never together."""
     targets = as_targets({"height": float(data.height.max()), "width": float(data.width.min())})
@@ -181,6 +211,8 @@ def test_each_within_reach_is_not_both(data):
         ({"height": float("nan")}, "height must be a positive number"),
         ({"height": True}, "height must be a positive number"),
         ({"area": "large"}, "area must be a positive number"),
+        ({"stress": 0}, "stress must be a positive number"),
+        ({"stretch": 0.9}, "stretch is the largest ratio of lengths, at least 1, not 0.9"),
         ({"axis": [(0, 0)]}, "two points at least"),
         ({"axis": [(0, 0), (0, 1), (0, 0.5)]}, "point 3 does not"),
         ({"axis": [(0, 0, 0)]}, r"points of shape \(k, 2\)"),

@@ -10,7 +10,7 @@ from inflate_lib import experiments, paths
 from inflate_lib.augmentation import apply_variants, augment
 from inflate_lib.cache import RETRAIN
 from inflate_lib.datasets import held_out, simulated_sevens
-from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, joint_conditions
+from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, descriptor_matrix, joint_conditions
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.training import simple_loss
 from inflate_lib.experiments import committed_weights, train_models, trained_models, training_cost, training_pairs
@@ -33,6 +33,8 @@ def data():
             "width": ("structure", number / 2),
             "hull_area": ("structure", number / 3),
             "medial_axis": (("structure", "point", "axis"), axes),
+            "peak_stress": ("structure", 0.1 + number / 40),
+            "peak_stretch": ("structure", 1.1 + number / 40),
         },
         attrs={"source": "digits"},
     )
@@ -56,17 +58,19 @@ def test_no_variant_of_a_held_out_structure_is_trained_on(data, n_augmented):
 
 def test_the_joint_descriptor_holds_the_others_side_by_side(data):
     joint = descriptor_matrix(data, "joint")
-    assert joint.shape == (40, 63)
-    for name in DESCRIPTORS:
+    assert joint.shape == (40, 65)
+    lengths = DESCRIPTORS | PHYSICAL
+    for name in lengths:
         told = joint_conditions(name, descriptor_matrix(data, name))
         asked = ~np.isnan(told)
-        assert asked.sum(1).tolist() == [DESCRIPTORS[name]] * 40
+        assert asked.sum(1).tolist() == [lengths[name]] * 40
         np.testing.assert_array_equal(told[asked], joint[asked])
     np.testing.assert_array_equal(joint_conditions("joint", joint), joint)
     conditions = training_pairs(data, "joint", 100)[1]
     heights, axes = training_pairs(data, "height", 100)[1], training_pairs(data, "axis", 100)[1]
     np.testing.assert_array_equal(conditions[:, [0]], heights)
-    np.testing.assert_array_equal(conditions[:, 3:], axes)  # mirrored where the image is
+    np.testing.assert_array_equal(conditions[:, 5:], axes)  # mirrored where the image is
+    np.testing.assert_array_equal(conditions[:, 3:5], [0.1, 1.1] + heights / 40)  # peaks are not
 
 
 def test_the_split_follows_the_position_in_the_whole_data_set(data):

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from inflate_lib import cli, describe, design, export, inflate, inverse_design, label_image, paths
+from inflate_lib import cli, describe, design, inflate, inverse_design, label_image, paths, stress
 from inflate_lib.candidates import attempt, refine, with_flipped
 from inflate_lib.constraints import PIXEL, Constraints, is_symmetric, mirrored
 from inflate_lib.datasets import simulate_dataset
+from inflate_lib.descriptors import PARTS
 from inflate_lib.design_targets import Targets, errors
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.inverse_design import MODELS, corrected, diverse, find_model
@@ -251,28 +252,13 @@ def test_stress_can_be_chosen_at_equal_height(search, data):
     found = {
         prefer: search({"height": height}, 5, tolerance=0.05, prefer=prefer) for prefer in ("low-stress", "high-stress")
     }
-    low, high = ([one.peak_stress for one in found[prefer].designs] for prefer in found)
+    low, high = ([one.shape.peak_stress for one in found[prefer].designs] for prefer in found)
     assert len(low) == len(high) == 5 and low == sorted(low) and high == sorted(high, reverse=True)
     assert max(low) < min(high)
     for one in [one for designs in found.values() for one in designs.designs]:
         assert abs(one.shape.height / height - 1) <= 0.05
-        assert one.peak_stress == export.von_mises(one.result)[-1].max()
-        assert one.peak_stretch == export.largest_stretch(one.result)[-1].max() > 1
-
-
-def test_peaks_are_those_of_uniform_stretch():
-    """A square under plane strain, pulled to 1.5 times its length: the stretch and the stress are exact."""
-    from inflate_lib.inflation import Inflation
-    from inflate_lib.mesh import Mesh
-
-    nodes = np.array([(0, 0), (1, 0), (1, 1), (0, 1.0)])
-    mesh = Mesh(nodes, np.array([[0, 1, 2, 3]]), np.empty((0, 2), int), np.array([True, False, False, False]))
-    displacement = np.stack([nodes * [0.2, 0], nodes * [0.5, 0]])
-    pulled = Inflation(mesh, "q1", np.array([0.5, 1]), np.zeros(2), displacement, True, "", 0, (16.44, 0.1644))
-    b = np.array([2.25, 1, 1])
-    deviator = 0.1644 / 1.5 * (b - b.mean())
-    assert export.peaks(pulled) == pytest.approx((np.sqrt(1.5 * (deviator**2).sum()), 1.5))
-    assert export.peaks(pulled, 0)[1] == pytest.approx(1.2)
+        assert one.shape.peak_stress == stress.von_mises(one.result)[-1].max()
+        assert one.shape.peak_stretch == stress.largest_stretch(one.result)[-1].max() > 1
 
 
 def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
@@ -281,8 +267,8 @@ def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
     everything = {"height": 1.0, "width": 0.9, "area": 0.7, "axis": [(0, 0), (0, 1.0)]}
 
     def weights(name):
-        n = {"joint": 63, "axis": 60, "box": 2}.get(name, 1)
-        config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=(1, 1, 1, 60) if n == 63 else ())
+        n = {"joint": 65, "axis": 60, "box": 2}.get(name, 1)
+        config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()) if n == 65 else ())
         model = TrainedModel(config.make_net(n), config, np.zeros(n), np.ones(n), metadata={"descriptor": name})
         model.save(tmp_path / "laptop" / f"{name}.safetensors")
 
@@ -298,19 +284,52 @@ def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
         assert len(targets.vector(name)) == len(model.condition_min) and np.isfinite(targets.vector(name)).all()
     weights("joint")
     found, model = find_model(Targets(width=1.0))
-    assert found == "joint" and len(model.condition_min) == 63
+    assert found == "joint" and len(model.condition_min) == 65
     assert set(MODELS) == {"joint", "axis", "box", "area", "width", "height"}
 
 
 def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
     """The whole way with untrained weights: nothing usable may come out, and then that is what it says."""
-    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=(1, 1, 1, 60))
-    model = TrainedModel(config.make_net(63).eval(), config, np.zeros(63), np.full(63, 2.0))
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()))
+    model = TrainedModel(config.make_net(65).eval(), config, np.full(65, -2.0), np.full(65, 2.0))
     options = {"sampling": {"sampler": "ddim", "steps": 2}, "max_candidates": 8, "say": None, "data": data}
     found = design({"height": 0.9}, 2, model=("joint", model), **options)
     assert found.tried == 8 and sum(found.rejected.values()) <= 8
     assert len(found.designs) <= 2 and found.summary()
     assert found.table().columns[:3].tolist() == ["design", "within", "error height (%)"]
+
+
+def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, model, monkeypatch):
+    monkeypatch.setattr(inverse_design, "BATCH", 16)
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()))
+    model.config, model.condition_min, model.condition_max = config, np.full(65, -5.0), np.full(65, 5.0)
+    height, stress = float(np.median(data.height)), float(np.median(data.peak_stress))
+    options = {"data": data, "max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1}
+    found = design({"height": height, "stress": stress}, 12, model=("joint", model), tolerance=0.1, **options)
+    told = model.told[0]
+    assert np.array_equal(told[0], Targets(height=height, stress=stress).vector("joint"), equal_nan=True)
+    assert np.isnan(told).sum(axis=1).tolist() == [63] * len(told)
+    assert model.told[1][0, 3] != told[0, 3] and np.isnan(model.told[1][:, 4:]).all()  # moved against the median miss
+    assert found.within >= 1
+    for one in found.pool:
+        assert abs(one.shape.height / height - 1) <= 0.1 and abs(one.shape.peak_stress / stress - 1) <= 0.1
+        assert one.errors["stress"] == pytest.approx(abs(one.shape.peak_stress / stress - 1), abs=1e-12)
+    assert "error stress (%)" in found.table()
+
+
+def test_stress_without_a_joint_model_is_refused_with_a_way_out(search, monkeypatch, tmp_path):
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path)
+    way_out = "stress and stretch can be asked of the joint model only.*inflate train --descriptor joint.*low-stress"
+    for refused in (find_model, lambda targets: search(targets)):
+        with pytest.raises(ValueError, match=way_out):
+            refused(Targets(height=0.9, stress=0.2, stretch=1.4))
+
+
+def test_a_joint_model_of_other_parts_is_refused(data):
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=(1, 1, 1, 60))
+    model = TrainedModel(config.make_net(63).eval(), config, np.zeros(63), np.full(63, 2.0))
+    with pytest.raises(ValueError, match="train it again"):
+        design({"height": 0.9}, 2, model=("joint", model), data=data, say=None)
 
 
 @pytest.mark.parametrize(
@@ -384,6 +403,8 @@ def test_too_few_designs_are_written_and_the_exit_code_says_so(run, data):
         (["--outline", "ring.svg", "--height", "1"], "leave the others out"),
         (["--height", "0.9", "--tolerance", "-1"], "tolerance"),
         (["--height", "0.9", "--prefer", "nothing"], "low-stress"),
+        (["--height", "0.9", "--stress", "0.2"], "stress can be asked of the joint model only"),
+        (["--stretch", "0.5"], "at least 1, not 0.5"),
         (["--height", "0.9", "--size-mm", "0"], "size_mm"),
         (["--height", "0.9", "--depth-mm", "-1"], "depth_mm"),
         (["--height", "0.9", "--min-void-mm", "500"], "min_void"),

@@ -1,16 +1,21 @@
 """The contact sheet of an inverse design: every structure before and after inflation, with what was asked for."""
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 from scipy.spatial import ConvexHull
 
+from inflate_lib import stress
+from inflate_lib.export import QUANTITIES
+from inflate_lib.plotting.mechanics import STRETCH_MAP
 from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label, place_axis
 from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure, picture_axes
 
-NAMES = {"height": "h", "width": "w", "area": "A", "axis": "axis"}
+NAMES = {"height": "h", "width": "w", "area": "A", "stress": "stress", "stretch": "stretch", "axis": "axis"}
 
 
-def plot_designs(designs, columns=6):
+def plot_designs(designs, columns=6, colour=None):
     """Contact sheet: each structure undeformed, below it inflated with the target in orange, its errors and its peak
     stress.
 
@@ -18,6 +23,8 @@ def plot_designs(designs, columns=6):
     ----------
     designs : inflate_lib.inverse_design.Designs
     columns : int
+    colour : {"von-mises", "stretch"}, optional
+        What the inflated structures are coloured by, on one scale; they are blue without.
 
     Returns
     -------
@@ -35,19 +42,28 @@ def plot_designs(designs, columns=6):
     deformed = [one.result.deformed() for one in designs.designs]
     wide = 1.12 * max([*(np.ptp(nodes[:, 0]) for nodes in deformed), designs.targets.vector("width")[0]], key=_known)
     tall = 1.06 * max([*(nodes[:, 1].max() for nodes in deformed), designs.targets.vector("height")[0]], key=_known)
-    for number, (one, nodes) in enumerate(zip(designs.designs, deformed, strict=True)):
+    styles = [{}] * len(deformed)
+    if colour:
+        function, label, at_rest = QUANTITIES[colour]
+        values = [getattr(stress, function)(one.result)[-1] for one in designs.designs]
+        norm = Normalize(at_rest, np.concatenate(values).max())
+        common = {"colour": None, "edge": "face", "norm": norm, "cmap": STRETCH_MAP}
+        styles = [common | {"array": array} for array in values]
+    for number, (one, nodes, style) in enumerate(zip(designs.designs, deformed, styles, strict=True)):
         row, column = divmod(number, columns)
         above, below = axes[2 * row, column], axes[2 * row + 1, column]
         draw_label(above, one.label)
         above.set_title(f"{number + 1}" + ("" if one.within else "  (missed)"), loc="left")
-        draw_inflated(below, one.result, ghost=False)
+        draw_inflated(below, one.result, ghost=False, **style)
         draw_targets(below, designs.targets, nodes)
         middle = (nodes[:, 0].min() + nodes[:, 0].max()) / 2
         bottom = min(nodes[:, 1].min(), 0) - 0.08
         below.set(xlim=(middle - wide / 2, middle + wide / 2), ylim=(bottom, tall))
         misses = [f"{NAMES[name]} {100 * value:.2f} %" for name, value in one.errors.items()]
         lines = [", ".join(misses[start : start + 2]) for start in range(0, len(misses), 2)]
-        below.set_xlabel("\n".join([*lines, f"stress {one.peak_stress:.3f}"]), fontsize=7)
+        below.set_xlabel("\n".join([*lines, f"stress {one.shape.peak_stress:.3f}"]), fontsize=7)
+    if colour:
+        fig.colorbar(ScalarMappable(norm, STRETCH_MAP), ax=axes[1::2], label=label, shrink=0.8, aspect=20)
     return fig
 
 

@@ -24,12 +24,15 @@ def draw_mesh(ax, nodes, cells, *, colour=COLOURS.wall, edge="white", linewidth=
     return polygons
 
 
-def draw_inflated(ax, result, step=-1, ghost=True):
-    """The structure at a load step (the last one by default), over a grey ghost of the undeformed one."""
+def draw_inflated(ax, result, step=-1, ghost=True, **style):
+    """The structure at a load step (the last one by default), over a grey ghost of the undeformed one.
+
+    `style` is that of :func:`draw_mesh`.
+    """
     if ghost:
         draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.ghost, edge="face", alpha=0.35, zorder=0)
     deformed = result.deformed(step)
-    draw_mesh(ax, deformed, result.cells)
+    draw_mesh(ax, deformed, result.cells, **style)
     draw_clamped_edge(ax, result.mesh)
     return deformed
 
