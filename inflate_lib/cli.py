@@ -154,6 +154,7 @@ def design(
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
     seconds: Annotated[float, typer.Option(help="Stop the search after so long.")] = 90.0,
     candidates: Annotated[int, typer.Option(min=1, help="Stop the search after so many.")] = 4096,
+    refine: Annotated[int, typer.Option(min=0, help="Inflations spent on each near miss, pixel by pixel.")] = 60,
     profile: Annotated[
         str | None, typer.Option(help="Weights of this profile (the best in data/pretrained, else ci).")
     ] = None,
@@ -177,7 +178,7 @@ def design(
     try:
         found = design(
             targets, number, profile=profile, constraints=constraints, tolerance=tolerance, prefer=prefer, seed=seed,
-            seconds=seconds, max_candidates=candidates,
+            seconds=seconds, max_candidates=candidates, refine=refine,
         )  # fmt: skip
         print(found.summary())
         if found.designs:

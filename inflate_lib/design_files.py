@@ -105,6 +105,7 @@ def search_record(designs):
         "asked": designs.asked,
         "found": sum(one.within for one in designs.designs),
         "within_tolerance": designs.within,
+        "refined": designs.refined,
         "candidates": designs.tried,
         "rejected": dict(designs.rejected),
         "stopped": designs.stopped,

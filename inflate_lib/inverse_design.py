@@ -1,8 +1,9 @@
 """Inverse design: targets and constraints in; several different structures, each verified by inflating it, out.
 
 A model draws candidates in batches. Every one is labelled, inflated and described like the training data; what a
-constraint forbids is rejected and counted; what comes within the tolerance of all targets is kept, until there are
-enough to choose from or the time or the candidates are used up. From those a diverse set is chosen.
+constraint forbids is rejected and counted; near misses are refined pixel by pixel; what is within the tolerance of all
+targets is kept, until there are enough to choose from or the time or the candidates are used up. From those a diverse
+set is chosen.
 """
 
 import time
@@ -15,21 +16,23 @@ import pandas as pd
 from joblib import Parallel, delayed
 
 from inflate_lib import paths
-from inflate_lib.constraints import PIXEL, Constraints, mirrored
-from inflate_lib.contact import first_contact
-from inflate_lib.datasets import TIME_LIMIT, simulated_sevens
+from inflate_lib.candidates import attempt
+from inflate_lib.candidates import refine as refine_structure
+from inflate_lib.constraints import Constraints, mirrored
+from inflate_lib.datasets import simulated_sevens
 from inflate_lib.descriptors import JOINT, PARTS, PHYSICAL, Descriptors, describe
 from inflate_lib.design_targets import Targets, as_targets, check_reach, errors
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.diffusion.storage import fingerprint
 from inflate_lib.experiments import trained_models
-from inflate_lib.inflation import Inflation, inflate
+from inflate_lib.inflation import Inflation
 from inflate_lib.profiles import load_profile
-from inflate_lib.structures import FRAME, OUTSIDE, label_image
+from inflate_lib.structures import FRAME, OUTSIDE
 
 PREFERENCES = ("low-stress", "high-stress")
 SAMPLING = {"sampler": "ddim", "steps": 25, "eta": 1.0, "guidance": 3.0}
 BATCH = 64  # candidates
+NEAR, INSIDE = 3, 0.5  # misses of up to 3 times the tolerance are refined, until they are at half of it
 SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
 #: Models by what they are conditioned on, the most telling first; "joint" takes any combination, NaN where not asked.
 MODELS = {JOINT: (), "axis": ("axis",), "box": ("height", "width"), "area": ("area",)}
@@ -53,7 +56,8 @@ class Design:
     candidate : int
         Its number among all candidates.
     origin : dict
-        How to draw it again: the seed and the conditions of its batch, its row there, and what was done to the drawing.
+        How to draw it again: the seed and the conditions of its batch, its row there, and what was done to the drawing
+        (halves mirrored; pixels flipped, one after another).
     """
 
     label: np.ndarray
@@ -85,6 +89,7 @@ class Designs:
     model: dict  # descriptor, digest of the weights, profile, source
     sampling: dict
     tried: int = 0
+    refined: int = 0  # misses that came within the tolerance by flipping pixels
     rejected: Counter = field(default_factory=Counter)  # reason → candidates
     seconds: dict = field(default_factory=dict)  # generating, inflating, all
     stopped: str = ""
@@ -115,6 +120,8 @@ class Designs:
         ]
         if good < len(self.designs):
             lines.append(f"the other {len(self.designs) - good} are the nearest misses, and are marked so")
+        if self.refined:
+            lines.append(f"{self.refined} of the {self.within} were near misses, refined pixel by pixel")
         if self.rejected:
             lines.append("rejected: " + ", ".join(f"{n} {reason}" for reason, n in self.rejected.most_common()))
         if self.designs:
@@ -136,6 +143,7 @@ def design(
     seed: int = 0,
     seconds: float = 90.0,
     max_candidates: int = 4096,
+    refine: int = 60,
     sampling: Mapping | None = None,
     n_jobs: int = -1,
     say: Callable | None = print,
@@ -164,6 +172,9 @@ def design(
         Of the noise. With `max_candidates` and without a limit of time the result depends on nothing else.
     seconds, max_candidates
         Limits of the search; the batch at hand is finished.
+    refine : int
+        Inflations that may be spent on bringing each near miss nearer, pixel by pixel, see
+        :func:`inflate_lib.candidates.refine`; 0 for none.
     sampling : Mapping, optional
         Options of :func:`inflate_lib.diffusion.generate`.
     n_jobs : int
@@ -183,7 +194,7 @@ def design(
         For targets that contradict each other or the constraints or are out of reach, and arguments out of range.
     """
     targets, constraints, sampling = as_targets(targets), constraints or Constraints(), dict(sampling or SAMPLING)
-    _check(n, tolerance, prefer, seed, seconds, max_candidates)
+    _check(n, tolerance, prefer, seed, seconds, max_candidates, refine)
     _check_symmetric(targets, constraints, tolerance)
     name, model = model or find_model(targets, profile)
     _check_model(name, model, targets)
@@ -203,12 +214,13 @@ def design(
         images = generate(model, np.tile(aim, (size, 1)), seed=batch["seed"], **sampling)
         drawn = time.monotonic()
         new = _verified(images, batch, found, seen, n_jobs)
-        now = time.monotonic()
-        clock += Counter(generating=drawn - begun, inflating=now - drawn)
-        longest = max(longest, now - begun)
         found.tried += size
         if new:
             aim = corrected(aim, wanted, [one.shape.vector(name) for one in new], model)
+        new = _refined(new, found, seen, refine, n_jobs)
+        now = time.monotonic()
+        clock += Counter(generating=drawn - begun, inflating=now - drawn)
+        longest = max(longest, now - begun)
         best = sorted([*best, *new], key=lambda one: (one.error, one.candidate))
         found.pool = [one for one in best if one.within]
         best = best[: found.within + n]  # of the misses only the nearest
@@ -320,48 +332,28 @@ def _verified(images, batch, found, seen, n_jobs):
     return designs
 
 
-def attempt(image, constraints):
-    """Label and inflate one image under constraints.
-
-    Returns
-    -------
-    reason : str
-        Why it is rejected; empty where it is not.
-    label : (28, 28) float or None
-    result : Inflation or None
-    """
-    try:
-        label = label_image(image)
-        anywhere = Constraints(**{**constraints.as_dict(), "keep_out": None})
-        if broken := anywhere.broken_by(label):
-            return f"break {broken}", label, None
-        result = inflate(label, time_limit=TIME_LIMIT[0])
-    except ValueError:
-        return "are no structure", None, None
-    if not result.converged:
-        return "find no equilibrium", label, None
-    if first_contact(result) is not None:
-        return "have walls that cross when inflated", label, None
-    if constraints.keep_out is not None:
-        shift = free_place(label, result, constraints)
-        if shift is None:
-            return "break keep_out", label, None
-        if shift:
-            label = np.roll(label, shift, axis=1)
-            result = inflate(label, time_limit=TIME_LIMIT[0])
-            if not result.converged or constraints.broken_by(label) or constraints.broken_when_inflated(result):
-                return "break keep_out", label, None
-    return "", label, result
-
-
-def free_place(label, result, constraints):
-    """The shortest shift, in pixels to the right, by which a structure keeps out of the forbidden region; or None."""
-    columns = np.flatnonzero(np.any(label != OUTSIDE, axis=0))
-    for shift in sorted(range(-columns[0], FRAME - columns[-1]), key=abs):
-        moved = constraints.moved(shift * PIXEL)
-        if not moved.broken_by(label) and not moved.broken_when_inflated(result):
-            return shift
-    return None
+def _refined(designs, found, seen, tries, n_jobs):
+    """The same designs, near misses brought nearer by :func:`inflate_lib.candidates.refine`."""
+    near = [one for one in designs if found.tolerance < one.error <= NEAR * found.tolerance] if tries else []
+    goal = found.tolerance * INSIDE
+    done = Parallel(n_jobs=n_jobs, backend="threading")(
+        delayed(refine_structure)(
+            one.label, one.result, found.targets, found.constraints, goal, tries, [one.origin["seed"], one.candidate]
+        )
+        for one in near
+    )
+    better = {}
+    for one, (label, result, flipped) in zip(near, done, strict=True):
+        if not flipped or (key := _aligned(label).tobytes()) in seen:
+            continue
+        seen.add(key)
+        shape = describe(result)
+        miss = errors(found.targets, shape)
+        within = max(miss.values()) <= found.tolerance
+        origin = one.origin | {"flipped": flipped}
+        better[id(one)] = Design(label, result, shape, miss, within, one.candidate, origin)
+    found.refined += sum(one.within for one in better.values())
+    return [better.get(id(one), one) for one in designs]
 
 
 def _aligned(label):
@@ -376,8 +368,9 @@ def _about(name, model):
     return about | {key: model.metadata[key] for key in ("profile", "source", "pairs") if key in model.metadata}
 
 
-def _check(n, tolerance, prefer, seed, seconds, max_candidates):
-    for name, value, least in (("n", n, 1), ("seed", seed, 0), ("max_candidates", max_candidates, 1)):
+def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
+    whole = (("n", n, 1), ("seed", seed, 0), ("max_candidates", max_candidates, 1), ("refine", refine, 0))
+    for name, value, least in whole:
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise ValueError(f"{name} must be a whole number of at least {least}, not {value!r}")
     for name, value in (("tolerance", tolerance), ("seconds", seconds)):

@@ -156,12 +156,16 @@ def _newton(field, solid, load, free, p, tolerance):
     return False
 
 
-def potential(mesh, x, p, mean_dilatation=True):
-    """Potential Π of deformed nodes x, (n, 2) float64 tensor: neo-Hookean energy minus p times the cavity's area."""
+def potential(mesh, x, p, mean_dilatation=True, shares=None):
+    """Potential Π of deformed nodes x, (n, 2) float64 tensor: neo-Hookean energy minus p times the cavity's area.
+
+    With `shares` (m,) each element has only that share of its energy.
+    """
     X = torch.from_numpy(mesh.nodes)[torch.from_numpy(mesh.cells)]
     corners = x[torch.from_numpy(mesh.cells)]
     F, weights = zip(*(_deformation_gradient(X, corners, xi, eta) for xi in (-1, 1) for eta in (-1, 1)), strict=True)
     F, weights = torch.stack(F, 1), torch.stack(weights, 1)
+    weights = weights if shares is None else weights * shares[:, None]
     J = F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
     energy = (weights * MU / 2 * ((F**2).sum((-1, -2)) - 2)).sum()
     if mean_dilatation:

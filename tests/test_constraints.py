@@ -8,6 +8,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
 from inflate_lib import inflate, label_image
+from inflate_lib.candidates import attempt, free_place
 from inflate_lib.constraints import (
     PIXEL,
     Constraints,
@@ -18,7 +19,6 @@ from inflate_lib.constraints import (
     pixels,
     wide_enough,
 )
-from inflate_lib.inverse_design import attempt, free_place
 from inflate_lib.sources import load_sevens
 from inflate_lib.structures import FRAME, OUTSIDE, SOLID, VOID
 

@@ -10,7 +10,8 @@ import pytest
 from scipy import ndimage
 
 from inflate_lib import cli, describe, design, inflate, inverse_design, label_image, paths, stress
-from inflate_lib.constraints import PIXEL, Constraints, is_symmetric
+from inflate_lib.candidates import attempt, refine, with_flipped
+from inflate_lib.constraints import PIXEL, Constraints, is_symmetric, mirrored
 from inflate_lib.datasets import simulate_dataset
 from inflate_lib.descriptors import PARTS
 from inflate_lib.design_targets import Targets, errors
@@ -51,7 +52,7 @@ def model(monkeypatch):
 @pytest.fixture
 def search(model, data):
     def search(targets, n=3, **options):
-        defaults = {"max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1}
+        defaults = {"max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1, "refine": 0}
         return design(targets, n, model=("height", model), data=data, **defaults | options)
 
     return search
@@ -204,6 +205,48 @@ def test_a_symmetric_structure_has_an_upright_axis(search):
         search({"axis": [(0, 0), (0.3, 0.9)]}, constraints=Constraints(symmetric=True))
 
 
+def test_near_misses_are_brought_nearer(search, model, data):
+    """Refined hits are structures that the search alone does not have; the others are as they were."""
+    target = {"height": float(np.median(data.height)), "width": float(np.median(data.width))}
+    plain = search(target, 40, tolerance=0.02, max_candidates=64)
+    model.told.clear()  # so that the same are drawn again
+    found = search(target, 40, tolerance=0.02, max_candidates=64, refine=40)
+    assert found.within == plain.within + found.refined > plain.within and plain.refined == 0
+    assert f"{found.refined} of the {found.within} were near misses" in found.summary()
+    drawn = {one.candidate: one for one in plain.pool}
+    for one in found.pool:
+        if "flipped" not in one.origin:
+            assert np.array_equal(one.label, drawn[one.candidate].label)
+            continue
+        assert 0 < len(one.origin["flipped"]) <= 40 and one.within
+        label = label_image(DIGITS[one.candidate])
+        for row, column in one.origin["flipped"]:  # the record says how to make it again
+            label = label_image(with_flipped(label, row, column))
+        assert np.array_equal(label, one.label)
+        again = describe(inflate(one.label))
+        assert errors(found.targets, again) == pytest.approx(one.errors, abs=1e-9)
+    assert {one.candidate for one in found.pool} >= set(drawn)
+
+
+def test_refinement_never_makes_it_worse_and_keeps_the_demands(data):
+    for demand in (Constraints(symmetric=True), Constraints(min_void=2 * PIXEL), Constraints(keep_out=(0, 0, 0.2, 2))):
+        started = 0
+        for image in DIGITS[:12]:
+            image = mirrored(image / 255)[-1] if demand.symmetric else image / 255
+            reason, label, result = attempt(image, demand)
+            if reason:
+                continue
+            started += 1
+            shape = describe(result)
+            targets = Targets(height=1.03 * shape.height, width=shape.width)
+            better, inflated, flipped = refine(label, result, targets, demand, goal=0.01, tries=15, seed=1)
+            before, after = (max(errors(targets, describe(one)).values()) for one in (result, inflated))
+            assert not demand.broken_by(better) and not demand.broken_when_inflated(inflated)
+            assert after < before if flipped else np.array_equal(better, label)
+            assert np.allclose(inflate(better).displacement, inflated.displacement, atol=1e-9)
+        assert started >= 3
+
+
 def test_stress_can_be_chosen_at_equal_height(search, data):
     height = float(np.median(data.height))
     found = {
@@ -299,6 +342,7 @@ def test_a_joint_model_of_other_parts_is_refused(data):
         ({"max_candidates": 0}, "max_candidates must be"),
         ({"seed": -1}, "seed must be"),
         ({"seed": 1.5}, "seed must be"),
+        ({"refine": -1}, "refine must be"),
     ],
 )
 def test_arguments_out_of_range_are_refused(search, options, message):

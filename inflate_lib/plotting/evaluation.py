@@ -143,6 +143,31 @@ def plot_selection(tables):
     return fig
 
 
+def plot_controls(table):
+    """Median error against processor time, with intervals; marks and fillings tell the controls apart without colour.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Columns control, seconds, median, median low, median high, as ``benchmarks/controls.py`` writes them.
+    """
+    fig, ax = figure(1, 1, height=9.5)
+    for (name, rows), mark in zip(table.groupby("control", sort=False), "ov^sDPX*<>ph", strict=False):
+        refined, steered = name.startswith("pixel"), "surrogate" in name
+        colour = COLOURS.target if refined else COLOURS.medium if steered else COLOURS.wall
+        interval = np.abs(rows[["median low", "median high"]].to_numpy().T - rows["median"].to_numpy())
+        line = "none" if refined else ":" if steered else "--"  # refined ones differ in two efforts: no line
+        ax.errorbar(rows["seconds"], rows["median"], yerr=interval, color=colour, marker=mark, markersize=6,
+                    linestyle=line, elinewidth=0.8, linewidth=1.0, markerfacecolor=colour if refined else "white",
+                    label=name)  # fmt: skip
+    ax.set(xscale="log", yscale="log", xlabel="core seconds per target", ylabel="median error (%)")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter("{x:g}")
+    ax.grid(which="major", color="#E6E6E6")
+    fig.legend(loc="outside right center")
+    return fig
+
+
 def plot_surrogate(pairs):
     """What the surrogate predicts against what the simulation finds, for height, width and area.
 
