@@ -64,8 +64,9 @@ def r_squared(target, achieved):
     """
     known = np.isfinite(achieved).all(axis=1)
     target, achieved = target[known], achieved[known]
-    spread = ((target - target.mean(axis=0)) ** 2).sum() if len(target) else 0.0
-    return 1 - ((achieved - target) ** 2).sum() / spread if spread > 0 else np.nan
+    if not len(target) or not np.ptp(target, axis=0).any():  # the mean of equal numbers may differ from them
+        return np.nan
+    return 1 - ((achieved - target) ** 2).sum() / ((target - target.mean(axis=0)) ** 2).sum()
 
 
 # --- intervals -----------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 import xarray as xr
-from torch.distributions import Normal, kl_divergence
+from torch.distributions import Bernoulli, Normal, kl_divergence
 
 from inflate_lib import ablation, learning, paths, surrogate
 from inflate_lib.baselines import (
@@ -144,15 +144,16 @@ def test_kl_is_that_of_torch():
     assert kl_to_standard_normal(torch.zeros(1, 5), torch.zeros(1, 5)).item() == 0
 
 
-def test_reconstruction_is_the_likelihood_of_the_best_gaussian():
+def test_reconstruction_is_the_likelihood_of_bright_and_dark_pixels():
     images, decoded = torch.rand(6, 28, 28), torch.rand(6, 28, 28)
-    found = reconstruction_nll(images, decoded)
-    deviation = (images - decoded).square().mean().sqrt()
-    torch.testing.assert_close(found, -Normal(decoded, deviation).log_prob(images).flatten(1).sum(dim=1))
-    for factor in (0.9, 1.1):  # any other variance is worse
-        assert -Normal(decoded, factor * deviation).log_prob(images).sum() > found.sum()
-    expected = 392 * (torch.log(2 * torch.pi * deviation**2) + 1)
-    torch.testing.assert_close(found.mean(), expected)
+    dark = -Bernoulli(decoded).log_prob(torch.zeros_like(images)).flatten(1).sum(dim=1)
+    torch.testing.assert_close(reconstruction_nll(torch.zeros_like(images), decoded), dark)
+    bright = (images > 0.5).float()
+    expected = -Bernoulli(decoded).log_prob(bright).flatten(1).sum(dim=1)
+    torch.testing.assert_close(reconstruction_nll(bright, decoded), expected)
+    # A grey pixel is bright in its share of the cases, so that no other probability serves it better than its grey.
+    for other in (decoded, 0.9 * images, 0.1 + 0.9 * images):
+        assert (reconstruction_nll(images, other) > reconstruction_nll(images, images)).all()
 
 
 @pytest.mark.parametrize(("n_conditions", "n_parameters"), [(1, 369_721), (60, 574_361)])

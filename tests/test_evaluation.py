@@ -99,6 +99,7 @@ def test_r_squared_is_that_of_scikit_learn_and_skips_what_is_not_there():
     assert r_squared(target, achieved) == pytest.approx(expected)
     assert r_squared(target, target) == 1
     assert np.isnan(r_squared(np.ones((5, 1)), RNG.random((5, 1))))
+    assert np.isnan(r_squared(np.full((46, 1), 0.3335), RNG.random((46, 1))))  # of which the mean is another number
 
 
 # --- intervals -----------------------------------------------------------------------------------------------------

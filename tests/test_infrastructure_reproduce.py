@@ -114,6 +114,7 @@ def done(finished, monkeypatch):
     before = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
     yield home
     for path, content in before.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
 
 

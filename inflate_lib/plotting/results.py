@@ -130,6 +130,7 @@ def plot_axis_density(experiment):
         ax.plot(*target.T, "o-", color=COLOURS.target, markersize=2.5, linewidth=1.0, label="target")
         ax.set(xlabel="$x$", xlim=(-half, half), ylim=(-0.05, 1.05 * high[1]), title=f"axis {k + 1}")
         ax.set_aspect("equal")
+        ax.set_xticks([0])  # the panels are too narrow for more; the scale is that of y
     axes[0, 0].set_ylabel("$y$")
     axes[0, 0].legend(loc="upper left")
     return fig
