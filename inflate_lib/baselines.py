@@ -21,6 +21,7 @@ from inflate_lib.experiments import training_pairs
 from inflate_lib.generation import as_experiment, check_targets, code, judge, training_rows
 
 LATENT = 4  # numbers that the autoencoder describes an image by, besides the descriptor
+FINER = (16, 32)  # channels on 28 and on 14 pixels a side
 KL_WEIGHT = 3.0  # β of Higgins et al. (2017): the more it weighs, the less of the descriptor is told by z instead
 TOLD = 16  # width of what it makes of the descriptor
 
@@ -54,12 +55,12 @@ class Autoencoder(nn.Module):
     n_conditions : int
         Length N of the descriptor.
     width : int
-        Channels on 28 pixels a side; twice and four times as many on 14 and on 7.
+        Channels on the coarsest grid, 7 pixels a side, where numbers to be learned cost the least arithmetic.
     """
 
     def __init__(self, n_conditions: int, width: int):
         super().__init__()
-        a, b, c = width, 2 * width, 4 * width
+        a, b, c = *FINER, width
         self.deepest = c
         self.told = nn.Sequential(nn.Linear(n_conditions, 64), nn.SiLU(), nn.Linear(64, TOLD), nn.SiLU())
         self.encoder = nn.Sequential(*_layer(1, a), *_layer(a, b, stride=2), *_layer(b, c, stride=2), nn.Flatten())
@@ -178,7 +179,8 @@ def train_autoencoder(data, descriptor, like, n_augmented, seed=0):
 
 def nearest_width(n_conditions, n_parameters):
     """Width whose autoencoder has the number of parameters nearest to a given one."""
-    return min(range(2, 129), key=lambda width: abs(_count(n_conditions, width) - n_parameters))
+    one, two = _count(n_conditions, 1), _count(n_conditions, 2)  # the number is linear in the width
+    return max(1, 1 + round((n_parameters - one) / (two - one)))
 
 
 def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1, calibration=None):
