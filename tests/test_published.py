@@ -1,4 +1,4 @@
-"""What is committed in figures/laptop: the accuracy that the book claims for the committed weights, and its origin."""
+"""What is committed in figures/: the accuracy of the committed weights, and where every file comes from."""
 
 import json
 
@@ -8,14 +8,12 @@ import pytest
 from inflate_lib import paths
 from inflate_lib.cache import digest
 
-FOLDER = paths.FIGURES / "laptop"
 SCALARS = ("height", "width", "box", "area")
-NOTES = sorted(FOLDER.glob("*.json"))
 
 
 def measured(measure, name):
     """A value without its interval, of the 200 held-out targets."""
-    table = pd.read_csv(FOLDER / "held_out_scalars.csv").set_index("measure")
+    table = pd.read_csv(paths.FIGURES / "laptop" / "held_out_scalars.csv").set_index("measure")
     return float(table.loc[measure, name].split()[0].replace("−", "-"))
 
 
@@ -25,12 +23,13 @@ def test_unseen_targets_are_met(name):
     assert measured("valid", name) >= 90
 
 
-def test_every_file_is_named_by_a_record_of_where_it_comes_from():
-    named = {}
-    for note in map(json.loads, (path.read_text(encoding="utf-8") for path in NOTES)):
-        assert (note["profile"], note["data_source"] or "mnist") == ("laptop", "mnist"), note["name"]
+@pytest.mark.parametrize("profile", ["ci", "laptop"])
+def test_every_file_is_named_by_a_record_of_where_it_comes_from(profile):
+    folder, named = paths.FIGURES / profile, {}
+    for note in map(json.loads, (path.read_text(encoding="utf-8") for path in folder.glob("*.json"))):
+        assert (note["profile"], note["data_source"] or "mnist") == (profile, "mnist"), note["name"]
         assert note["uncommitted_changes"] is False, note["name"]
         named |= note["files"]
-    files = {path.name for path in FOLDER.iterdir() if path.suffix != ".json"}
+    files = {path.name for path in folder.iterdir() if path.suffix != ".json"}
     assert files == set(named)
-    assert not [name for name in files if digest((FOLDER / name).read_bytes()) != named[name]]
+    assert not [name for name in files if digest((folder / name).read_bytes()) != named[name]]
