@@ -21,8 +21,8 @@ HERO = "glance"  # published by notebooks/19_explorer.md
 EXPLORER = "explorer_data"  # likewise
 HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
 HERO_CAPTION = (
-    "The pipeline at a glance, once per row: a wanted height; noise that a network turns into an image; the structure read "
-    "from it, with wall and void; and that structure inflated, the wanted height dashed, the achieved one below."
+    "The pipeline at a glance, once per row: a wanted height; noise that a network turns into an image; the structure "
+    "read from it, with wall and void; and that structure inflated, the wanted height dashed, the achieved one below."
 )
 MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights
 NO_WEIGHTS = "No weights are committed at the moment: the models are trained when a notebook first needs them."
