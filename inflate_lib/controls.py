@@ -3,11 +3,11 @@
 Classifier guidance (Dhariwal & Nichol 2021) adds the gradient of a second network to each step; diffusion posterior
 sampling (Chung et al. 2023) takes that gradient at the estimate of the clean image, x̂₀, where a network that was
 trained on clean images can be asked. Here the second network is the surrogate: it predicts the descriptor ŷ of the
-structure that x̂₀ is becoming, and x̂₀ is moved against the gradient g of its squared error E = |ŷ − y|² / 2,
+structure that x̂₀ is becoming, and x̂₀ is moved against the gradient g of its squared error E = ‖ŷ − y‖² / 2,
 
-    x̂₀ ← x̂₀ − strength · ᾱ · 2 E / |g|² · g.
+    x̂₀ ← x̂₀ − strength · ᾱ · 2 E / ‖g‖² · g.
 
-The step 2 E / |g|² is Polyak's: with one descriptor, and as long as ŷ is linear, it removes the error at once. ᾱ
+The step 2 E / ‖g‖² is Polyak's: with one descriptor, and as long as ŷ is linear, it removes the error at once. ᾱ
 withholds it while x̂₀ is still a blur. The gradient is not taken through the diffusion model, which would triple the
 cost.
 """
