@@ -64,6 +64,7 @@ class Page:
         self.seed = self.parameters.get("seed")
         self.source = _resolve(self.parameters["source"]) if "source" in self.parameters else None
         self.folder = paths.FIGURES / self.profile
+        self._kinds: dict[str, tuple[str, ...]] = {}
         origin = f" · data source: {SOURCES.get(self.source, self.source)}" if self.source else ""
         print(f"Profile: {self.profile}{origin}")
 
@@ -121,6 +122,9 @@ class Page:
     def _write(self, name: str, files: Mapping[str, bytes]) -> None:
         if not name or Path(name).name != name:
             raise ValueError(f"{name!r} is no file name; give one without folders and suffix, like 'fig03_descriptors'")
+        if self._kinds.setdefault(name, tuple(files)) != tuple(files):
+            had, has = " and ".join(self._kinds[name]), " and ".join(files)
+            raise ValueError(f"{name!r} names {had} already; {has} would share its record: choose another name")
         self.folder.mkdir(parents=True, exist_ok=True)
         for suffix, content in files.items():
             _replace(self.folder / f"{name}{suffix}", content)

@@ -51,6 +51,14 @@ def test_page_knows_its_parameters_and_says_where_data_come_from(capsys):
     assert "Profile: ci · data source: scikit-learn digits" in capsys.readouterr().out
 
 
+def test_a_figure_and_a_table_do_not_share_a_record(home):
+    example = page()
+    example.figure(picture(), "both")
+    example.figure(picture(2.0), "both")  # a cell that is run again
+    with pytest.raises(ValueError, match=r"'both' names \.png and \.svg already.*choose another name"):
+        example.table(pd.DataFrame({"a": [1.0]}), "both")
+
+
 def test_figure_has_both_formats_and_its_provenance(home):
     shown = page().figure(picture(), "fig01")
     folder = home / "figures" / "ci"
