@@ -20,6 +20,10 @@ from inflate_lib.publishing import SOURCES, code_state
 HERO = "glance"  # published by notebooks/19_explorer.md
 EXPLORER = "explorer_data"  # likewise
 HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
+HERO_CAPTION = (
+    "The pipeline at a glance, once per row: a wanted height; noise that a network turns into an image; the structure "
+    "read from it, with wall and void; and that structure inflated, the wanted height dashed, the achieved one below."
+)
 MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights
 NO_WEIGHTS = "No weights are committed at the moment: the models are trained when a notebook first needs them."
 
@@ -64,7 +68,7 @@ def _configure(app, config):
     profile = stamps[0]["profile"] if stamps else "none"
     config.html_theme_options = {**config.html_theme_options, "extra_footer": footer(profile)}
     picture = Path("..", paths.FIGURES.name, profile, f"{HERO}.png")
-    caption = f"The pipeline at a glance, drawn from results of this book's run (profile {profile})."
+    caption = f"{HERO_CAPTION} Drawn from results of this book's run (profile {profile})."
     hero = f"```{{figure}} {picture.as_posix()}\n:alt: {HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
     config.myst_substitutions = {**config.myst_substitutions, "hero": hero if (paths.BOOK / picture).is_file() else ""}
     data = paths.FIGURES / profile / f"{EXPLORER}.js"
