@@ -324,12 +324,15 @@ def _verified(images, batch, found, seen, n_jobs):
             found.rejected[reason or "the same as another"] += 1
             continue
         seen.add(key)
-        shape = describe(result)
-        miss = errors(found.targets, shape)
-        within = max(miss.values()) <= found.tolerance
-        origin = batch | {"row": row, "drawing": kind}
-        designs.append(Design(label, result, shape, miss, within, batch["first"] + row, origin))
+        designs.append(_measured(label, result, found, batch["first"] + row, batch | {"row": row, "drawing": kind}))
     return designs
+
+
+def _measured(label, result, found, candidate, origin):
+    """A design from a structure and its inflation."""
+    shape = describe(result)
+    miss = errors(found.targets, shape)
+    return Design(label, result, shape, miss, max(miss.values()) <= found.tolerance, candidate, origin)
 
 
 def _refined(designs, found, seen, tries, n_jobs):
@@ -347,11 +350,7 @@ def _refined(designs, found, seen, tries, n_jobs):
         if not flipped or (key := _aligned(label).tobytes()) in seen:
             continue
         seen.add(key)
-        shape = describe(result)
-        miss = errors(found.targets, shape)
-        within = max(miss.values()) <= found.tolerance
-        origin = one.origin | {"flipped": flipped}
-        better[id(one)] = Design(label, result, shape, miss, within, one.candidate, origin)
+        better[id(one)] = _measured(label, result, found, one.candidate, one.origin | {"flipped": flipped})
     found.refined += sum(one.within for one in better.values())
     return [better.get(id(one), one) for one in designs]
 
