@@ -24,7 +24,7 @@ reproduce: .venv/installed ## execute what is not fresh under PROFILE, without t
 	$(BIN)/inflate reproduce --profile $(PROFILE) --jobs $(JOBS)
 
 test: .venv/installed-test ## run the tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 lint: .venv/installed-test ## check the style
 	$(BIN)/ruff check .
