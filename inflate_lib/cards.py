@@ -7,6 +7,7 @@ import pandas as pd
 
 from inflate_lib.cache import digest
 from inflate_lib.calibration import calibrate
+from inflate_lib.descriptors import DESCRIPTORS, JOINT, PHYSICAL
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.evaluation import score, scores, with_interval
 from inflate_lib.generation import held_out_targets, run_experiment
@@ -16,9 +17,9 @@ SEED = 1  # of the choice of targets, and of the noise
 
 _CARD = """# Weights of the profile `{profile}`
 
-One conditional diffusion model for each descriptor of an inflated structure, float16 safetensors, for
-`inflate_lib.diffusion.TrainedModel.load`. This page was written by `inflate card --profile {profile}`,
-which measures what it states.
+Conditional diffusion models: one for each descriptor of an inflated structure and, where there is one, a *joint* model,
+which takes any combination of them. They are float16 safetensors, for `inflate_lib.diffusion.TrainedModel.load`. This
+page was written by `inflate card --profile {profile}`, which measures what it states.
 
 ## Data
 
@@ -72,7 +73,8 @@ _MEASURES = {
 def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, seed=SEED):
     """Measure the models in a folder on held-out targets, and write the card, ``README.md``, beside them.
 
-    The measured numbers also go into the header of each file, as ``metadata["metrics"]``.
+    The measured numbers also go into the header of each file, as ``metadata["metrics"]``. A joint model is asked for
+    one descriptor after the other, and its metrics are those of each.
 
     Parameters
     ----------
@@ -106,14 +108,14 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, se
         name, model = file.stem, TrainedModel.load(file)
         if model.metadata.get("data") != digest(data["image"].values, data["converged"].values):
             raise ValueError(f"{file} was trained on other data: {model.metadata.get('structures')} structures")
-        calibration = calibrate(model, name, data, sampling, seed, n_calibration) if n_calibration else None
-        targets, _ = held_out_targets(data, name, model, n, seed)
-        experiment = run_experiment(model, name, targets, 1, sampling, seed, calibration=calibration)
-        table = scores(experiment, name, data)
-        rows = table.set_index("measure")[["value", "low", "high"]]
-        accuracy[name] = {
-            title: with_interval(*rows.loc[measure]) for measure, title in _MEASURES.items() if measure in rows.index
-        }
+        metrics = {}
+        for asked in (*DESCRIPTORS, *PHYSICAL) if name == JOINT else (name,):
+            table = _measured(model, asked, data, sampling, n_calibration, n, seed)
+            rows = table.set_index("measure")[["value", "low", "high"]]
+            known = [measure for measure in _MEASURES if measure in rows.index]
+            title = f"{JOINT}: {asked}" if name == JOINT else name
+            accuracy[title] = {_MEASURES[measure]: with_interval(*rows.loc[measure]) for measure in known}
+            metrics[asked] = {measure: score(table, measure) for measure in known}
         about = model.metadata
         training[name] = {
             "parameters": f"{model.net.n_parameters:,}",
@@ -122,7 +124,7 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, se
             "loss": f"{model.history['loss'][-1]:.4f}",
             "held-out loss": f"{about.get('held_out_loss', float('nan')):.4f}",
         }
-        about["metrics"] = {measure: score(table, measure) for measure in _MEASURES if measure in rows.index}
+        about["metrics"] = metrics if name == JOINT else metrics[name]
         model.save(file, half=True)
     recipe = pd.Series(model.config.recipe()).drop("parts").map(str).rename("value").rename_axis("option")
     how = f"targets calibrated on {n_calibration} training structures (`inflate_lib.calibration`)"
@@ -142,6 +144,13 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, se
     )
     card.write_text(text, encoding="utf-8")
     return card
+
+
+def _measured(model, name, data, sampling, n_calibration, n, seed):
+    """Scores of a model that is asked for one descriptor of held-out structures."""
+    calibration = calibrate(model, name, data, sampling, seed, n_calibration) if n_calibration else None
+    targets, _ = held_out_targets(data, name, model, n, seed)
+    return scores(run_experiment(model, name, targets, 1, sampling, seed, calibration=calibration), name, data)
 
 
 def _markdown(rows: Mapping) -> str:

@@ -183,8 +183,8 @@ def check_axis(points):
 
 
 def axis_height(axis):
-    """Height of the shape that a medial axis (30, 2) belongs to: the axis ends one increment below the top."""
-    return axis[-1, 1] * AXIS_POINTS / (AXIS_POINTS - 1)
+    """Height of the shape that a medial axis (…, 30, 2) belongs to: the axis ends one increment below the top."""
+    return axis[..., -1, 1] * AXIS_POINTS / (AXIS_POINTS - 1)
 
 
 def read_axis(path):
@@ -256,7 +256,15 @@ def errors(targets, shape):
         Name → ``|achieved − target| / target``; for the axis the mean distance of its points over the height that
         the axis belongs to.
     """
-    return {name: float(_miss(targets, name, shape.vector(name)[None])[0]) for name in targets.asked}
+    return {name: float(relative_misses(name, shape.vector(name), targets.vector(name))) for name in targets.asked}
+
+
+def relative_misses(name, achieved, wanted):
+    """Relative errors of one descriptor's vectors (…, N), as an array (…,); see :func:`errors`."""
+    if name != "axis":
+        return np.abs(achieved[..., 0] / wanted[..., 0] - 1)
+    apart = (achieved - wanted).reshape(*achieved.shape[:-1], -1, 2)
+    return np.linalg.norm(apart, axis=-1).mean(axis=-1) / axis_height(wanted.reshape(*wanted.shape[:-1], -1, 2))
 
 
 def check_reach(targets, data):
@@ -275,7 +283,7 @@ def check_reach(targets, data):
     """
     data = data.isel(structure=np.flatnonzero(data["converged"].values))
     values = {name: descriptor_matrix(data, name) for name in targets.asked}
-    miss = np.max([_miss(targets, name, values[name]) for name in targets.asked], axis=0)
+    miss = np.max([relative_misses(name, values[name], targets.vector(name)) for name in targets.asked], axis=0)
     nearest = int(np.argmin(miss))
     problem = contradiction(targets)
     for name in SCALARS:
@@ -316,15 +324,6 @@ def contradiction(targets):
     if area > height * width * (1 + AGREE):
         return f"area {area:.4g} is larger than the box of height {height:.4g} and width {width:.4g}"
     return ""
-
-
-def _miss(targets, name, values):
-    """Relative errors (n,) of descriptor vectors (n, N)."""
-    wanted = targets.vector(name)
-    if name != "axis":
-        return np.abs(values[:, 0] / wanted[0] - 1)
-    apart = (values - wanted).reshape(len(values), -1, 2)
-    return np.linalg.norm(apart, axis=-1).mean(axis=1) / axis_height(targets.axis)
 
 
 def _points(name, points):

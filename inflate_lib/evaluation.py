@@ -172,7 +172,7 @@ def _per_structure(experiment, descriptor, data, target, achieved):
     absolute = np.abs(achieved - target)
     relative = errors(experiment, descriptor)
     columns = {
-        "error": ("side²" if descriptor == "area" else "side", absolute.mean(axis=1)),
+        "error": ({"area": "side²", "stress": "1", "stretch": "1"}.get(descriptor, "side"), absolute.mean(axis=1)),
         "error / target": ("%", 100 * relative),
         "error / standard deviation": ("1", (absolute / typical.std(axis=0)).mean(axis=1)),
     }

@@ -41,6 +41,17 @@ def test_card_tells_data_recipe_cost_and_accuracy(folder, data):
     assert before.metadata.items() <= model.metadata.items()
 
 
+def test_a_joint_model_is_measured_on_each_descriptor(data, tmp_path):
+    model = TrainedModel.load(train_models(["joint"], TRAINING, data, 60)["joint"])
+    model.save(tmp_path / "joint.safetensors", half=True)
+    text = write_card(tmp_path, data, SAMPLING, 0, n=4).read_text(encoding="utf-8")
+    asked = [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("| joint: ")]
+    assert asked == [f"joint: {name}" for name in ("height", "width", "box", "area", "axis", "stress", "stretch")]
+    metrics = TrainedModel.load(tmp_path / "joint.safetensors").metadata["metrics"]
+    assert set(metrics) == {name.removeprefix("joint: ") for name in asked}
+    assert "median point distance" in metrics["axis"] and "R²" in metrics["stress"]
+
+
 def test_weights_that_are_missing_or_of_other_data_are_refused(folder, data, tmp_path):
     with pytest.raises(ValueError, match="holds no weights"):
         write_card(tmp_path / "nothing", data, SAMPLING)
