@@ -1,8 +1,9 @@
 """The frame of the book, as a Sphinx extension: every page says which run it comes from.
 
 A page that was computed carries a badge below its title, with the profile and the data that its executed notebook
-names; every page a footer with profile, commit and date. Besides, it brings what depends on the run into pages that do
-not: the picture on the first page, the explorer's data, and the model cards of the committed weights.
+names; every page a footer with profile, commit and date. Published tables have numbers and captions, as figures do.
+Besides, it brings what depends on the run into pages that do not: the picture on the first page, the explorer's data,
+and the model cards of the committed weights.
 """
 
 import json
@@ -12,6 +13,7 @@ from datetime import date
 from pathlib import Path
 
 from docutils import nodes
+from sphinx.transforms import SphinxTransform
 
 from inflate_lib import paths
 from inflate_lib.profiles import ProfileError, load_profile
@@ -24,6 +26,7 @@ HERO_CAPTION = (
     "The pipeline at a glance, once per row: a wanted height; noise that a network turns into an image; the structure "
     "read from it, with wall and void; and that structure inflated, the wanted height dashed, the achieved one below."
 )
+TABLE = "tab-"  # how the name of a published table begins, for {numref}
 MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights
 NO_WEIGHTS = "No weights are committed at the moment: the models are trained when a notebook first needs them."
 
@@ -61,6 +64,26 @@ def footer(profile: str) -> str:
 def model_cards() -> list[Path]:
     """The README of each folder in data/pretrained that has one."""
     return sorted(paths.PRETRAINED.glob("*/README.md"))
+
+
+class CaptionedTable(nodes.figure):
+    """A published table, numbered as a table and written as a figure: the caption does not scroll with the table."""
+
+
+class CaptionTables(SphinxTransform):
+    """MyST-NB puts what a cell shows into a figure, if the cell names one: a name ``tab-…`` makes that a table."""
+
+    default_priority = 500  # before Sphinx notes what can be referred to
+
+    def apply(self):
+        for figure in list(self.document.findall(nodes.figure)):
+            if not any(name.startswith(TABLE) for name in figure["names"]):
+                continue
+            caption_first = sorted(figure, key=lambda child: not isinstance(child, nodes.caption))
+            table = CaptionedTable("", *caption_first, **figure.attributes)
+            table["classes"] += ["captioned-table"]
+            figure.replace_self(table)
+            self.document.ids.update(dict.fromkeys(table["ids"], table))
 
 
 def _configure(app, config):
@@ -119,6 +142,8 @@ def _leave_out_thebe(app, page, template, context, doctree):
 
 def setup(app):
     """Connect to Sphinx."""
+    app.add_enumerable_node(CaptionedTable, "table")
+    app.add_transform(CaptionTables)
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)
     app.connect("doctree-read", _add_badge)
