@@ -67,7 +67,29 @@ def model_cards() -> list[Path]:
 
 
 class CaptionedTable(nodes.figure):
-    """A published table, numbered as a table and written as a figure: the caption does not scroll with the table."""
+    """A published table: a figure that counts as a table. Its caption stays put where the table scrolls."""
+
+
+class TableCaption(nodes.caption):
+    """The caption above a table, closed at its end; Sphinx leaves that of a figure open, for a legend."""
+
+
+def _visit_table(writer, node):
+    writer.visit_figure(node)
+
+
+def _depart_table(writer, node):
+    writer.body.append("</figure>\n")
+
+
+def _visit_table_caption(writer, node):
+    writer.visit_caption(node)
+
+
+def _depart_table_caption(writer, node):
+    writer.body.append("</span>")
+    writer.add_permalink_ref(node.parent, "Link to this table")
+    writer.body.append("</p>\n</figcaption>\n")
 
 
 class CaptionTables(SphinxTransform):
@@ -79,9 +101,13 @@ class CaptionTables(SphinxTransform):
         for figure in list(self.document.findall(nodes.figure)):
             if not any(name.startswith(TABLE) for name in figure["names"]):
                 continue
-            caption_first = sorted(figure, key=lambda child: not isinstance(child, nodes.caption))
-            table = CaptionedTable("", *caption_first, **figure.attributes)
+            table = CaptionedTable("", **figure.attributes)
             table["classes"] += ["captioned-table"]
+            for part in figure.children:
+                if isinstance(part, nodes.caption):
+                    table.insert(0, TableCaption(part.rawsource, "", *part.children, **part.attributes))
+                else:
+                    table += part
             figure.replace_self(table)
             self.document.ids.update(dict.fromkeys(table["ids"], table))
 
@@ -142,7 +168,8 @@ def _leave_out_thebe(app, page, template, context, doctree):
 
 def setup(app):
     """Connect to Sphinx."""
-    app.add_enumerable_node(CaptionedTable, "table")
+    app.add_enumerable_node(CaptionedTable, "table", html=(_visit_table, _depart_table))
+    app.add_node(TableCaption, html=(_visit_table_caption, _depart_table_caption))
     app.add_transform(CaptionTables)
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)

@@ -74,7 +74,7 @@ def test_every_table_has_its_number_and_caption(name):
     numbers = [re.search(r'class="caption-number">Table \d+\.(\d+) ', table) for table in tables]
     assert [int(number[1]) for number in numbers] == list(range(1, len(tables) + 1))
     assert all(re.search(r'class="caption-text">\w', table) for table in tables)
-    assert all(table.index("<figcaption") < table.index('class="dataframe"') for table in tables)
+    assert all(table.index("</figcaption>") < table.index('class="dataframe"') for table in tables)
     assert text.count('class="dataframe"') == len(tables), "a table outside, or two in one"
 
 

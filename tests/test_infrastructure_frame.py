@@ -99,7 +99,7 @@ def test_a_named_table_is_numbered_as_a_table_with_its_caption_first():
     book.CaptionTables(document).apply()
     table, figure = document.children
     assert isinstance(table, book.CaptionedTable) and document.ids["tab-sizes"] is table
-    assert [type(part) for part in table] == [nodes.caption, nodes.container]
+    assert [type(part) for part in table] == [book.TableCaption, nodes.container]
     assert type(figure) is nodes.figure and [type(part) for part in figure] == [nodes.container, nodes.caption]
 
 
