@@ -13,6 +13,7 @@ from datetime import date
 from pathlib import Path
 
 from docutils import nodes
+from PIL import Image
 from sphinx.transforms import SphinxTransform
 
 from inflate_lib import paths
@@ -132,6 +133,19 @@ def _add_badge(app, doctree):
         title.parent.insert(title.parent.index(title) + 1, badge(stamp))
 
 
+def _let_wide_pictures_scroll(app, doctree):
+    """A picture more than twice as wide as high gets a box of its own, in which a phone can show it large enough."""
+    for picture in list(doctree.findall(nodes.image)):
+        file = Path(app.srcdir, picture["uri"])
+        if file.suffix == ".png" and file.is_file():
+            with Image.open(file) as opened:
+                wide = opened.width > 2 * opened.height
+            if wide:
+                box = nodes.container(classes=["wide-picture"])
+                picture.replace_self(box)
+                box += picture
+
+
 def _add_model_cards(app, docname, source):
     if MODEL_CARDS not in source[0]:
         return
@@ -174,6 +188,7 @@ def setup(app):
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)
     app.connect("doctree-read", _add_badge)
+    app.connect("doctree-read", _let_wide_pictures_scroll)
     app.connect("missing-reference", _resolve_public_name)
     app.connect("html-page-context", _leave_out_thebe)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
