@@ -1,8 +1,9 @@
 """The frame of the book, as a Sphinx extension: every page says which run it comes from.
 
 A page that was computed carries a badge below its title, with the profile and the data that its executed notebook
-names; every page a footer with profile, commit and date. Besides, it brings what depends on the run into pages that do
-not: the picture on the first page, the explorer's data, and the model cards of the committed weights.
+names; every page a footer with profile, commit and date. Published tables have numbers and captions, as figures do.
+Besides, it brings what depends on the run into pages that do not: the picture on the first page, the explorer's data,
+and the model cards of the committed weights.
 """
 
 import json
@@ -12,6 +13,8 @@ from datetime import date
 from pathlib import Path
 
 from docutils import nodes
+from PIL import Image
+from sphinx.transforms import SphinxTransform
 
 from inflate_lib import paths
 from inflate_lib.profiles import ProfileError, load_profile
@@ -24,6 +27,7 @@ HERO_CAPTION = (
     "The pipeline at a glance, once per row: a wanted height; noise that a network turns into an image; the structure "
     "read from it, with wall and void; and that structure inflated, the wanted height dashed, the achieved one below."
 )
+TABLE = "tab-"  # how the name of a published table begins, for {numref}
 MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights
 NO_WEIGHTS = "No weights are committed at the moment: the models are trained when a notebook first needs them."
 
@@ -63,6 +67,52 @@ def model_cards() -> list[Path]:
     return sorted(paths.PRETRAINED.glob("*/README.md"))
 
 
+class CaptionedTable(nodes.figure):
+    """A published table: a figure that counts as a table. Its caption stays put where the table scrolls."""
+
+
+class TableCaption(nodes.caption):
+    """The caption above a table, closed at its end; Sphinx leaves that of a figure open, for a legend."""
+
+
+def _visit_table(writer, node):
+    writer.visit_figure(node)
+
+
+def _depart_table(writer, node):
+    writer.body.append("</figure>\n")
+
+
+def _visit_table_caption(writer, node):
+    writer.visit_caption(node)
+
+
+def _depart_table_caption(writer, node):
+    writer.body.append("</span>")
+    writer.add_permalink_ref(node.parent, "Link to this table")
+    writer.body.append("</p>\n</figcaption>\n")
+
+
+class CaptionTables(SphinxTransform):
+    """MyST-NB puts what a cell shows into a figure, if the cell names one: a name ``tab-…`` makes that a table."""
+
+    default_priority = 500  # before Sphinx notes what can be referred to
+
+    def apply(self):
+        for figure in list(self.document.findall(nodes.figure)):
+            if not any(name.startswith(TABLE) for name in figure["names"]):
+                continue
+            table = CaptionedTable("", **figure.attributes)
+            table["classes"] += ["captioned-table"]
+            for part in figure.children:
+                if isinstance(part, nodes.caption):
+                    table.insert(0, TableCaption(part.rawsource, "", *part.children, **part.attributes))
+                else:
+                    table += part
+            figure.replace_self(table)
+            self.document.ids.update(dict.fromkeys(table["ids"], table))
+
+
 def _configure(app, config):
     stamps = [stamp for path in sorted(paths.EXECUTED.glob("*.ipynb")) if (stamp := executed_under(path))]
     profile = stamps[0]["profile"] if stamps else "none"
@@ -81,6 +131,19 @@ def _add_badge(app, doctree):
     title = next(iter(doctree.findall(nodes.title)), None)
     if stamp and title:
         title.parent.insert(title.parent.index(title) + 1, badge(stamp))
+
+
+def _let_wide_pictures_scroll(app, doctree):
+    """A picture more than twice as wide as high gets a box of its own, in which a phone can show it large enough."""
+    for picture in list(doctree.findall(nodes.image)):
+        file = Path(app.srcdir, picture["uri"])
+        if file.suffix == ".png" and file.is_file():
+            with Image.open(file) as opened:
+                wide = opened.width > 2 * opened.height
+            if wide:
+                box = nodes.container(classes=["wide-picture"])
+                picture.replace_self(box)
+                box += picture
 
 
 def _add_model_cards(app, docname, source):
@@ -119,9 +182,13 @@ def _leave_out_thebe(app, page, template, context, doctree):
 
 def setup(app):
     """Connect to Sphinx."""
+    app.add_enumerable_node(CaptionedTable, "table", html=(_visit_table, _depart_table))
+    app.add_node(TableCaption, html=(_visit_table_caption, _depart_table_caption))
+    app.add_transform(CaptionTables)
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)
     app.connect("doctree-read", _add_badge)
+    app.connect("doctree-read", _let_wide_pictures_scroll)
     app.connect("missing-reference", _resolve_public_name)
     app.connect("html-page-context", _leave_out_thebe)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -12,6 +12,7 @@ import json
 import math
 import os
 import platform
+import re
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -156,10 +157,15 @@ class Table:
     def _repr_mimebundle_(self, include=None, exclude=None) -> dict[str, str]:
         options = {"index": self.has_index, "float_format": self._format, "na_rep": "–"}
         return {
-            "text/html": self.frame.to_html(border=0, **options),
+            "text/html": _unbroken(self.frame.to_html(border=0, **options)),
             "text/latex": self.frame.to_latex(escape=True, **options),
             "text/plain": self.frame.to_string(**options),
         }
+
+
+def _unbroken(html: str) -> str:
+    """Keep an interval in brackets on one line, and a number with its exponent."""
+    return re.sub(r"(\de)-(\d)", r"\1−\2", re.sub(r"\[(\S+), (\S+)\]", "[\\1,\u00a0\\2]", html))
 
 
 def recorded(notebook: str | Path) -> dict[str, Any]:

@@ -67,6 +67,17 @@ def test_injected_parameters_do_not_show(name):
     assert "tag_injected-parameters" not in text
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_every_table_has_its_number_and_caption(name):
+    text = (paths.BOOK / "_build" / "html" / "notebooks" / f"{name}.html").read_text(encoding="utf-8")
+    tables = re.findall(r'<figure class="captioned-table.*?</figure>', text, re.DOTALL)
+    numbers = [re.search(r'class="caption-number">Table \d+\.(\d+) ', table) for table in tables]
+    assert [int(number[1]) for number in numbers] == list(range(1, len(tables) + 1))
+    assert all(re.search(r'class="caption-text">\w', table) for table in tables)
+    assert all(table.index("</figcaption>") < table.index('class="dataframe"') for table in tables)
+    assert text.count('class="dataframe"') == len(tables), "a table outside, or two in one"
+
+
 def test_the_book_finds_what_the_paper_prints():
     """On MNIST: all sevens converge, the pairs are as many as the paper's, and Table 1 is met within its rounding."""
     numbers = {name: recorded(paths.EXECUTED / f"{name}.ipynb") for name in NAMES}

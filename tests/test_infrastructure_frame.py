@@ -1,14 +1,19 @@
 """The frame of the book: where each page says its numbers come from, and what it prints with."""
 
+import ast
 import json
 import os
 import stat
 from types import SimpleNamespace
 
+import jupytext
 import pytest
 import yaml
+from docutils import nodes
+from docutils.utils import new_document
 
 from inflate_lib import book, paths, printing
+from inflate_lib.reproduce import find_notebooks
 
 
 @pytest.fixture
@@ -83,6 +88,36 @@ def test_model_cards_come_into_their_page_one_level_down(home):
     book._add_model_cards(app, "data_and_weights", page)
     assert page[0] == "# Weights\n\n## Card\n\n### Recipe\n\n```python\n# a comment\n```\n\n## Limits\n\n"
     assert noted == [str(card)]
+
+
+def test_a_named_table_is_numbered_as_a_table_with_its_caption_first():
+    document = new_document("chapter")
+    for name in ("tab-sizes", "fig-sizes"):
+        shown = nodes.figure("", nodes.container(), nodes.caption("", "Sizes of ten structures."), names=[name])
+        document.note_explicit_target(shown, shown)
+        document += shown
+    book.CaptionTables(document).apply()
+    table, figure = document.children
+    assert isinstance(table, book.CaptionedTable) and document.ids["tab-sizes"] is table
+    assert [type(part) for part in table] == [book.TableCaption, nodes.container]
+    assert type(figure) is nodes.figure and [type(part) for part in figure] == [nodes.container, nodes.caption]
+
+
+def test_every_table_of_a_notebook_has_a_caption_and_a_name_of_its_own():
+    owner = {}
+    for notebook in find_notebooks():
+        for cell in jupytext.read(notebook).cells:
+            if cell.cell_type != "code" or "page.table(" not in cell.source:
+                continue
+            where = f"{notebook.name}, {cell.source.splitlines()[-1]}"
+            shown = ast.unparse(ast.parse(cell.source).body[-1])
+            assert shown.startswith("page.table("), f"{where}: a cell ends with the table that it shows"
+            options = cell.metadata.get("mystnb", {}).get("figure", {})
+            name = options.get("name", "")
+            assert name.startswith(book.TABLE), f"{where}: no name that begins with {book.TABLE}"
+            assert len(options.get("caption", "")) > 40, f"{where}: no caption that can be read alone"
+            assert owner.setdefault(name, where) is where, f"{where}: named like that of {owner[name]}"
+    assert owner
 
 
 def test_every_standing_page_is_in_the_contents():

@@ -109,6 +109,14 @@ def test_table_keeps_full_numbers_in_the_file_and_few_digits_on_the_page(home):
     assert list(again.columns) == ["name", "value"]
 
 
+def test_an_interval_and_an_exponent_stay_on_one_line(home):
+    frame = pd.DataFrame({"R²": ["0.5 [−0.1, 0.7]"], "first β": ["4.1e-05"], "widths": ["0.9, 1.1"]})
+    shown = page().table(frame, "table1")._repr_mimebundle_()["text/html"]
+    assert "<td>0.5 [−0.1,\u00a00.7]</td>" in shown
+    assert "<td>4.1e−05</td>" in shown
+    assert "<td>0.9, 1.1</td>" in shown
+
+
 def test_runner_is_told_what_was_published(tmp_path, monkeypatch):
     monkeypatch.setenv(publishing.RUNNER, str(tmp_path / "manifest"))
     page().figure(picture(), "fig01")
