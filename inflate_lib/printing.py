@@ -55,7 +55,8 @@ def print_page(chromium: Path, page: Path, target: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / "book.pdf"
         words = [*FLAGS, *sandbox_flags(), f"--user-data-dir={folder}/profile", f"--virtual-time-budget={PATIENCE}"]
-        words += ["--no-pdf-header-footer", "--generate-pdf-document-outline", f"--print-to-pdf={draft}", page.resolve().as_uri()]
+        words += ["--no-pdf-header-footer", "--generate-pdf-document-outline"]
+        words += [f"--print-to-pdf={draft}", page.resolve().as_uri()]
         try:
             done = subprocess.run([chromium, *words], capture_output=True, text=True, timeout=TIMEOUT, check=False)
         except subprocess.TimeoutExpired:
