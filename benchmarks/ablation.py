@@ -55,7 +55,7 @@ def main():
     given = options()
     common = load_profile(given.profile).common
     budget = {"epochs": None, "steps": given.steps, "device": "cpu"}
-    training = {k: v for k, v in common["training"].items() if k != "checkpoint_every"} | budget
+    training = {k: v for k, v in common["training"].items() if k not in ("checkpoint_every", "steps_of")} | budget
     data = simulated_sevens(given.source)
     targets, _ = held_out_targets(data, given.descriptor, n=given.targets)
     variants = ablation.training_variants(training)

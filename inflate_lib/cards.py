@@ -119,6 +119,7 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, se
         about = model.metadata
         training[name] = {
             "parameters": f"{model.net.n_parameters:,}",
+            "steps": f"{model.config.training_steps(about['pairs']):,}",
             "minutes": f"{about['seconds'] / 60:.1f}",
             "device": about["device"],
             "loss": f"{model.history['loss'][-1]:.4f}",
@@ -126,7 +127,13 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, se
         }
         about["metrics"] = metrics if name == JOINT else metrics[name]
         model.save(file, half=True)
-    recipe = pd.Series(model.config.recipe()).drop("parts").map(str).rename("value").rename_axis("option")
+    recipe = (
+        pd.Series(model.config.recipe())
+        .drop(["parts", "steps", "epochs"])
+        .map(str)
+        .rename("value")
+        .rename_axis("option")
+    )
     how = f"targets calibrated on {n_calibration} training structures (`inflate_lib.calibration`)"
     card = folder / "README.md"
     text = _CARD.format(

@@ -61,7 +61,7 @@ def trained_model_file(
     ----------
     descriptor : str
     training : Mapping
-        Options of :class:`inflate_lib.diffusion.TrainingConfig`, but for the seed.
+        As in :func:`training_config`.
     data : xarray.Dataset
         Simulated structures.
     n_augmented, seed : int
@@ -77,7 +77,7 @@ def trained_model_file(
         A safetensors file for :meth:`inflate_lib.diffusion.TrainedModel.load`; None in all processes but the first. A
         killed training goes on from its last checkpoint.
     """
-    config = _config(descriptor, training, seed)
+    config = training_config(descriptor, training, seed)
     about = _about(descriptor, data, n_augmented)
 
     def make(target, scratch):
@@ -121,7 +121,7 @@ def committed_weights(descriptor, training, data, n_augmented=augmentation.PAPER
     ValueError
         A file there is damaged, or not one of this library.
     """
-    recipe = _config(descriptor, training, seed).recipe()
+    recipe = training_config(descriptor, training, seed).recipe()
     about, mean, why_not = _about(descriptor, data, n_augmented), _mean(descriptor, data), ""
     for path in sorted(paths.PRETRAINED.glob(f"*/{descriptor}.safetensors")):
         model = TrainedModel.load(path)
@@ -192,7 +192,7 @@ def training_cost(names: Sequence[str], training, data, n_augmented=augmentation
     """
 
     def one(name, threads):
-        whole = _config(name, training, seed)
+        whole = training_config(name, training, seed)
         config = replace(whole, steps=steps, epochs=None, log_every=max(1, steps // 10))
         images, conditions = training_pairs(data, name, n_augmented, seed)
         model = train(images, conditions, config, progress=f"dry run {name}", threads=threads)
@@ -200,7 +200,7 @@ def training_cost(names: Sequence[str], training, data, n_augmented=augmentation
 
     measured = pd.DataFrame(_side_by_side(one, names, training), columns=["seconds per step", "steps"])
     measured.insert(0, "descriptor", list(names))
-    measured["images per second"] = _config(names[0], training, seed).batch_size / measured["seconds per step"]
+    measured["images per second"] = training_config(names[0], training, seed).batch_size / measured["seconds per step"]
     measured["hours"] = measured["seconds per step"] * measured["steps"] / 3600
     measured["side by side"] = _jobs(names, training)
     return measured
@@ -218,10 +218,23 @@ def _jobs(names, training):
     return 1 if alone else min(len(names), effective_n_jobs(-1))
 
 
-def _config(descriptor, training, seed):
-    """The training configuration of one descriptor's model."""
-    parts = list(descriptors.PARTS.values()) if descriptor == descriptors.JOINT else []
-    return TrainingConfig.from_dict({**training, "seed": seed, "parts": parts})
+def training_config(descriptor, training, seed=0):
+    """The training configuration of one descriptor's model.
+
+    Parameters
+    ----------
+    descriptor : str
+    training : Mapping
+        Options of :class:`inflate_lib.diffusion.TrainingConfig`; ``steps_of``, where it is there, gives some
+        descriptors a number of steps of their own: ``{"area": 24000}``.
+    seed : int
+    """
+    options = {**training, "seed": seed}
+    steps_of = {check_name(name): steps for name, steps in options.pop("steps_of", {}).items()}
+    if descriptor in steps_of:
+        options["steps"] = steps_of[descriptor]
+    options["parts"] = list(descriptors.PARTS.values()) if descriptor == descriptors.JOINT else []
+    return TrainingConfig.from_dict(options)
 
 
 def _held_out(data):

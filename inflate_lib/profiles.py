@@ -148,7 +148,7 @@ def _mismatch(where: str, value: Any, default: Any) -> str | None:
 
     A mapping may leave out entries of the default, but have none of its own.
     """
-    if isinstance(value, Mapping) and isinstance(default, Mapping):
+    if isinstance(value, Mapping) and isinstance(default, Mapping) and default:
         if unknown := [name for name in value if name not in default]:
             return f"{where}: unknown {', '.join(unknown)}; there are: {', '.join(default)}"
         problems = (_mismatch(f"{where}.{name}", entry, default[name]) for name, entry in value.items())

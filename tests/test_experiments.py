@@ -13,7 +13,14 @@ from inflate_lib.datasets import held_out, simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, descriptor_matrix, joint_conditions
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.training import simple_loss
-from inflate_lib.experiments import committed_weights, train_models, trained_models, training_cost, training_pairs
+from inflate_lib.experiments import (
+    committed_weights,
+    train_models,
+    trained_models,
+    training_config,
+    training_cost,
+    training_pairs,
+)
 from inflate_lib.profiles import load_profile
 from inflate_lib.sources import load_sevens, resolve_source
 
@@ -194,3 +201,11 @@ def test_a_dry_run_projects_the_whole_training(data, tmp_path, monkeypatch):
     np.testing.assert_allclose(cost["hours"], cost["seconds per step"] * 5000 / 3600)
     np.testing.assert_allclose(cost["images per second"], 8 / cost["seconds per step"])
     assert not list(tmp_path.iterdir())  # nothing is kept
+
+
+def test_a_descriptor_may_have_a_number_of_steps_of_its_own():
+    training = TRAINING | {"steps": 10, "steps_of": {"area": 20}}
+    assert training_config("area", training, 3).steps == 20
+    assert training_config("height", training, 3) == training_config("height", TRAINING | {"steps": 10}, 3)
+    with pytest.raises(ValueError, match="unknown descriptor 'volume'"):
+        training_config("height", training | {"steps_of": {"volume": 20}})
