@@ -163,7 +163,8 @@ def design(
     """Design structures that inflate to a size or a shape of your own; every one is verified by inflating it.
 
     Give any of --height, --width, --area, --axis, or an --outline, in sides of the frame; the rest is in mm. With the
-    joint model (inflate train --descriptor joint) --stress and --stretch may be asked for as well, or alone.
+    joint model (data/pretrained/laptop, or inflate train --descriptor joint) --stress and --stretch may be asked for as
+    well, or alone.
     """
     from inflate_lib.constraints import from_millimetres
     from inflate_lib.design_files import check_folder, check_sizes, save_designs

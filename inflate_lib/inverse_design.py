@@ -239,11 +239,13 @@ def design(
 
 
 def find_model(targets, profile=None):
-    """Name and model to design with: the one that is conditioned on most of what is asked.
+    """Name and model to design with.
 
-    That is the joint model where it is there, else the one of a single descriptor. Committed weights come first, the
-    best ones of ``data/pretrained`` or those of `profile`; else the model of the profile (``ci`` by default) is found
-    in the cache or trained.
+    That is the model of a single descriptor where nothing else is asked for, since it then comes nearer than the joint
+    one (``benchmarks/joint.py``); for several at once the joint model, and where there is none, the model of a single
+    descriptor, or of the box, that takes most of them. Committed weights come first, the best ones of
+    ``data/pretrained`` or those of `profile`; else the model of the profile (``ci`` by default) is found in the cache
+    or trained.
 
     Raises
     ------
@@ -251,14 +253,16 @@ def find_model(targets, profile=None):
         Where stress or stretch is asked for, which the joint model alone takes, and it is not there.
     """
     asked = set(targets.asked)
-    fitting = [JOINT] if asked & set(PHYSICAL) else [name for name, takes in MODELS.items() if set(takes) <= asked]
+    singles = [name for name, takes in MODELS.items() if takes and set(takes) <= asked]
+    whole = [name for name in singles if set(MODELS[name]) == asked]
+    fitting = [JOINT] if asked & set(PHYSICAL) else [*whole, JOINT, *singles]
     for folder in (profile,) if profile else WEIGHTS:
         for name in fitting:
             if (path := paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
                 return name, TrainedModel.load(path)
     if fitting == [JOINT]:
         raise _no_joint_model(targets)
-    single = fitting[1]
+    single = singles[0]
     given = load_profile(profile or WEIGHTS[-1]).parameters(paths.NOTEBOOKS / "08_training.md")
     data = simulated_sevens(given["source"], given["n_structures"] or None)
     return single, trained_models([single], given["training"], data, given["n_augmented"], given["seed"])[single]

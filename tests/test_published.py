@@ -20,7 +20,15 @@ def measured(measure, name):
 @pytest.mark.parametrize("name", SCALARS)
 def test_unseen_targets_are_met(name):
     assert measured("R²", name) >= 0.75
+    assert measured("median error / target", name) <= 4
     assert measured("valid", name) >= 90
+
+
+@pytest.mark.parametrize("name", SCALARS)
+def test_the_best_of_sixteen_is_close(name):
+    best = pd.read_csv(paths.FIGURES / "laptop" / "best_of_n.csv")
+    best = best[(best["descriptor"] == name) & (best["by"] == "simulation") & (best["n"] == 16)]
+    assert len(best) == 1 and best["median"].item() <= 0.5
 
 
 @pytest.mark.parametrize("profile", ["ci", "laptop"])
