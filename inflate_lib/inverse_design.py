@@ -241,9 +241,9 @@ def design(
 def find_model(targets, profile=None):
     """Name and model to design with.
 
-    That is the model of a single descriptor where nothing else is asked for, since it then comes nearer than the joint
-    one (``benchmarks/joint.py``); for several at once the joint model, and where there is none, the model of a single
-    descriptor, or of the box, that takes most of them. Committed weights come first, the best ones of
+    That is the model of a single descriptor, or of the box, that takes most of what is asked: the rest hangs together
+    with it, and choice and refinement see to what does not. The joint model is for what no other takes, a stress or a
+    stretch (``benchmarks/joint.py`` measures both on the same targets). Committed weights come first, the best ones of
     ``data/pretrained`` or those of `profile`; else the model of the profile (``ci`` by default) is found in the cache
     or trained.
 
@@ -254,8 +254,7 @@ def find_model(targets, profile=None):
     """
     asked = set(targets.asked)
     singles = [name for name, takes in MODELS.items() if takes and set(takes) <= asked]
-    whole = [name for name in singles if set(MODELS[name]) == asked]
-    fitting = [JOINT] if asked & set(PHYSICAL) else [*whole, JOINT, *singles]
+    fitting = [JOINT] if asked & set(PHYSICAL) else [*singles, JOINT]
     for folder in (profile,) if profile else WEIGHTS:
         for name in fitting:
             if (path := paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
