@@ -155,11 +155,19 @@ def peak_memory(setting):
     return (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * unit / 1e6
 
 
+def meet(barrier):
+    """Give a process the barrier at which all wait until the last one has compiled."""
+    global together
+    together = barrier
+
+
 def throughput(setting, seconds=5.0):
-    """Training steps per second, for some seconds."""
+    """Training steps per second, for some seconds, the same for all processes."""
     bench = Bench(*setting)
     for _ in range(3):
         bench.training_step()
+    bench.synchronise()
+    together.wait(1200)
     start, n = time.perf_counter(), 0
     while time.perf_counter() - start < seconds:
         bench.seconds(bench.training_step, 10)
@@ -211,10 +219,11 @@ def main(
         rows[column.removesuffix("_s").removesuffix("_mb") + "_ratio"] = rows[column] / ours
     if side_by_side:
         setting = settings[-len(names)]
-        with ProcessPoolExecutor(side_by_side, get_context("spawn")) as pool:
-            together = sum(pool.map(throughput, [setting] * side_by_side))
+        spawn = get_context("spawn")
+        with ProcessPoolExecutor(side_by_side, spawn, meet, (spawn.Barrier(side_by_side),)) as pool:
+            rate = sum(pool.map(throughput, [setting] * side_by_side))
         row = rows.iloc[-len(names)][["channels", "batch", "device", "precision", "compiled", "parameters"]].to_dict()
-        row |= {"net": f"inflate_lib, {side_by_side} at once", "images_per_s": together * batch}
+        row |= {"net": f"{names[0]}, {side_by_side} at once", "images_per_s": rate * batch}
         rows = pd.concat([rows, pd.DataFrame([row])], ignore_index=True)
     print(rows.drop(columns=["channels", "batch", "device"]).to_string(index=False, float_format="{:.3g}".format))
     rows.to_csv(paths.REFERENCE / "speed_training.csv", index=False, float_format="%.4g")

@@ -203,31 +203,39 @@ def train(
     steps: Annotated[int | None, typer.Option(min=2, help="A dry run of so many steps: what would it cost?")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the weights in 16 bits: name.safetensors.")] = None,
     log: Annotated[Path | None, typer.Option(help="Folder for CSV and TensorBoard logs.")] = None,
+    pack: Annotated[Path | None, typer.Option(help="Train nothing: write data and recipe, to train elsewhere.")] = None,
 ) -> None:
     """Train the models of a profile, or find them trained in the cache. A killed training goes on where it was.
 
     Several GPUs or machines: torchrun --nproc-per-node 2 -m inflate_lib train …
+
+    A machine that has little but PyTorch: --pack pairs.safetensors, and there python -m inflate_lib.remote …
     """
-    from inflate_lib import paths
+    from inflate_lib import experiments, paths
     from inflate_lib.datasets import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, check_name
     from inflate_lib.diffusion import ranks
-    from inflate_lib.experiments import train_models, training_cost
     from inflate_lib.profiles import load_profile
 
+    if pack is not None and (steps, out, log) != (None, None, None):
+        raise ValueError("--pack trains nothing: leave out --steps, --out and --log")
     names = list(DESCRIPTORS) if descriptor == "all" else [check_name(descriptor)]
     given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
     training = given["training"] | ({"device": device} if device else {}) | ({"compile": True} if compile else {})
     ranks.start(training.get("device", "auto"))
     data = simulated_sevens(given["source"], given["n_structures"] or None)
-    if steps:
-        cost = training_cost(names, training, data, given["n_augmented"], given["seed"], steps)
+    basis = names, training, data, given["n_augmented"], given["seed"]
+    if pack is not None:
+        experiments.pack(pack, *basis, profile)
+        text = f"{', '.join(names)}: {pack}, {pack.stat().st_size / 1e6:.1f} MB"
+    elif steps:
+        cost = experiments.training_cost(*basis, steps)
         at_a_time = cost["side by side"][0]
         text = f"{cost.to_string(index=False, float_format='{:.4g}'.format)}\nthe whole training: about "
         text += f"{cost['hours'].sum() / at_a_time:.3g} h, {at_a_time} at a time"
     else:
         log = log or paths.CACHE / "logs" / profile
-        files = train_models(names, training, data, given["n_augmented"], given["seed"], log)
+        files = experiments.train_models(*basis, log)
         text = "\n".join(_export(Path(file), name, profile, out) for name, file in files.items() if file)
     if ranks.rank() == 0:
         print(text)

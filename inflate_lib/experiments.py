@@ -19,7 +19,8 @@ from inflate_lib.augmentation import apply_variants, augment, augment_descriptor
 from inflate_lib.cache import RETRAIN, cached, code_version, digest
 from inflate_lib.descriptors import check_name, descriptor_matrix
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, ranks, train
-from inflate_lib.diffusion.training import choose_device, simple_loss
+from inflate_lib.diffusion.training import choose_device
+from inflate_lib.remote import train_and_test, write_pack
 
 
 def training_pairs(data, descriptor, n_augmented, seed=0):
@@ -42,12 +43,38 @@ def training_pairs(data, descriptor, n_augmented, seed=0):
     images : (m, 28, 28) uint8
     conditions : (m, N) float
     """
-    data = data.isel(structure=np.flatnonzero(data["converged"].values & ~_held_out(data)))
-    images = data["image"].values
-    possible = len(augment(images))
-    variants = augment(images, min(n_augmented, possible), seed=seed)
-    conditions = augment_descriptors(descriptor_matrix(data, descriptor), descriptor, variants)
+    seen = _part(data, ~_held_out(data))
+    images = seen["image"].values
+    variants = _variants(images, n_augmented, seed)
+    conditions = augment_descriptors(descriptor_matrix(seen, descriptor), descriptor, variants)
     return apply_variants(images, variants), conditions
+
+
+def pack(path: Path, names: Sequence[str], training, data, n_augmented, seed=0, profile=None):
+    """Write all that several models are trained from into one file, for :mod:`inflate_lib.remote`.
+
+    Parameters
+    ----------
+    path : path_like
+    names : sequence of str
+        Descriptors.
+    training, data, n_augmented, seed
+        See :func:`trained_model_file`.
+    profile : str, optional
+        Its name, for the header of the weights.
+    """
+    seen, unseen = _part(data, ~_held_out(data)), _part(data, _held_out(data))
+    images = seen["image"].values
+    models = {
+        name: {
+            "config": training_config(name, training, seed),
+            "about": _about(name, data, n_augmented) | {"mean": _mean(name, data), "profile": profile},
+            "seen": descriptor_matrix(seen, name),
+            "unseen": descriptor_matrix(unseen, name),
+        }
+        for name in names
+    }
+    write_pack(path, images, _variants(images, n_augmented, seed), unseen["image"].values, models)
 
 
 def trained_model_file(
@@ -82,14 +109,10 @@ def trained_model_file(
 
     def make(target, scratch):
         ranks.share(True)  # now the other processes train as well
-        images, conditions = training_pairs(data, descriptor, n_augmented, seed)
-        model = train(images, conditions, config, scratch, f"training {descriptor}", threads, log)
-        unseen = data.isel(structure=np.flatnonzero(data["converged"].values & _held_out(data)))
-        if unseen.sizes["structure"]:
-            loss = simple_loss(model, unseen["image"].values, descriptor_matrix(unseen, descriptor))
-            model.metadata["held_out_loss"] = loss
-        model.metadata |= about | {"pairs": len(images), "mean": _mean(descriptor, data)}
-        model.save(target)
+        pairs, rest = training_pairs(data, descriptor, n_augmented, seed), _part(data, _held_out(data))
+        unseen = rest["image"].values, descriptor_matrix(rest, descriptor)
+        told = about | {"mean": _mean(descriptor, data)}
+        train_and_test(pairs, unseen, config, told, scratch, f"training {descriptor}", threads, log).save(target)
 
     if ranks.rank() > 0:
         while ranks.share():
@@ -192,7 +215,7 @@ def training_cost(names: Sequence[str], training, data, n_augmented=augmentation
     """
 
     def one(name, threads):
-        whole = training_config(name, training, seed)
+        whole = trainingtraining_config(name, training, seed)
         config = replace(whole, steps=steps, epochs=None, log_every=max(1, steps // 10))
         images, conditions = training_pairs(data, name, n_augmented, seed)
         model = train(images, conditions, config, progress=f"dry run {name}", threads=threads)
@@ -235,6 +258,16 @@ def training_config(descriptor, training, seed=0):
         options["steps"] = steps_of[descriptor]
     options["parts"] = list(descriptors.PARTS.values()) if descriptor == descriptors.JOINT else []
     return TrainingConfig.from_dict(options)
+
+
+def _part(data, which):
+    """The structures of a part that inflate."""
+    return data.isel(structure=np.flatnonzero(data["converged"].values & which))
+
+
+def _variants(images, n_augmented, seed):
+    """As many flips and shifts as are wanted, or all."""
+    return augment(images, min(n_augmented, len(augment(images))), seed=seed)
 
 
 def _held_out(data):

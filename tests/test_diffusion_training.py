@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, process, storage, train
-from inflate_lib.diffusion.training import CHECKPOINT, _Run, choose_device, losses_in_time
+from inflate_lib.diffusion.training import CHECKPOINT, _Run, choose_device, losses_in_time, random_generator
 
 TINY = {"channels": (4, 8), "embedding": 16, "hidden": 8, "batch_size": 8, "learning_rate": 1e-3}
 
@@ -201,6 +201,61 @@ def test_learns_sixteen_structures_by_heart():
 
     assert off(generate(model, targets, sampler="ddim", steps=20)) < 0.1
     assert off(generate(model, targets, sampler="ddim", steps=20, guidance=0)) > 0.15  # it was not told
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"objective": "epsilon"},
+        {"objective": "v", "min_snr": 5.0, "timestep_draws": 2},
+        {"warmup_steps": 4, "learning_rate_decay": "cosine", "ema_decay": 0.9},
+    ],
+)
+def test_the_loop_is_the_textbooks(options):
+    """The same random numbers in a plain loop, which is written down from the definitions: weights and losses agree.
+
+    Three batches to an epoch, the last one half as large; every second descriptor is withheld.
+    """
+    images, conditions = data(20)
+    given = config(**{"ema_decay": 0.0, "steps": 7, "log_every": 1, "condition_dropout": 0.5} | options)
+    model = train(images, conditions, given, progress=False, threads=1)
+
+    net, bars = given.make_net(2), model.schedule.alpha_bars
+    optimiser = torch.optim.Adam(net.parameters(), lr=given.learning_rate)
+    average = [p.detach().clone() for p in net.parameters()]
+    scaled = (conditions - conditions.min(0)) / (conditions.max(0) - conditions.min(0))
+    snr, losses = bars / (1 - bars), []
+    for step in range(7):
+        epoch, batch = divmod(step, 3)
+        order = torch.randperm(20, generator=random_generator(0, 1, epoch))
+        rows = order[8 * batch : 8 * batch + 8].numpy()
+        generator, n = random_generator(0, 2, step), len(rows)
+        t = torch.randint(1000, (given.timestep_draws, n), generator=generator).amax(0)
+        dropped = torch.rand(n, generator=generator) < 0.5
+        noise = torch.randn(n, 1, 28, 28, generator=generator)
+        x0 = torch.from_numpy(images[rows] / 127.5 - 1).float()[:, None]
+        signal, spread = (of.sqrt().float()[t].reshape(-1, 1, 1, 1) for of in (bars, 1 - bars))
+        y = torch.from_numpy(scaled[rows]).float()
+        answer = net(signal * x0 + spread * noise, t, y, dropped)
+        target = noise if given.objective == "epsilon" else signal * noise - spread * x0
+        weight = torch.ones(1000, dtype=torch.float64)
+        if given.min_snr > 0:
+            weight = torch.minimum(snr, torch.tensor(5.0)) / (snr + 1)
+        weight = weight + 0.001 * 1000 * process.vlb_weights(model.schedule, given.objective)
+        loss = (weight[t].float() * (answer - target).square().mean((1, 2, 3))).mean()
+        rate = given.learning_rate
+        if given.warmup_steps:
+            rate *= min(1, (step + 1) / 4) * 0.5 * (1 + np.cos(np.pi * step / 7))
+        optimiser.param_groups[0]["lr"] = rate
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+        decay = min(given.ema_decay, (1 + step) / (10 + step))
+        average = [decay * a + (1 - decay) * p.detach() for a, p in zip(average, net.parameters(), strict=True)]
+    np.testing.assert_allclose(model.history["loss"], losses, rtol=1e-4)
+    for ours, reference in zip(model.net.parameters(), average, strict=True):
+        torch.testing.assert_close(ours.detach(), reference, rtol=0, atol=2e-5)  # a step moves a weight by up to 1e-3
 
 
 def test_noise_prediction_learns_too():

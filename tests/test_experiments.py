@@ -1,9 +1,13 @@
 """Experiments: what models are trained on, and which weights are used."""
 
+import os
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
+import torch
 import xarray as xr
 
 from inflate_lib import experiments, paths
@@ -209,3 +213,71 @@ def test_a_descriptor_may_have_a_number_of_steps_of_its_own():
     assert training_config("height", training, 3) == training_config("height", TRAINING | {"steps": 10}, 3)
     with pytest.raises(ValueError, match="unknown descriptor 'volume'"):
         training_config("height", training | {"steps_of": {"volume": 20}})
+
+
+# --- training elsewhere --------------------------------------------------------------------------------------------
+
+LITTLE = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        there = {"torch", "torchgen", "functorch", "numpy", "safetensors", "inflate_lib", "typing_extensions", "tqdm"}
+        if name.partition(".")[0] not in there | set(sys.stdlib_module_names) and not name.startswith("_"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+"""
+
+
+@pytest.fixture
+def elsewhere(tmp_path):
+    """Run ``python -m inflate_lib.remote`` where only PyTorch, NumPy and safetensors can be imported."""
+    (tmp_path / "sitecustomize.py").write_text(LITTLE)
+    path = os.pathsep.join([str(tmp_path), str(paths.ROOT)])
+    here = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
+
+    def run(*arguments):
+        command = [sys.executable, "-m", "inflate_lib.remote", *map(str, arguments)]
+        return subprocess.run(command, env=here, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+
+    bare = [sys.executable, "-c", "import scipy"]
+    assert "No module named 'scipy'" in subprocess.run(bare, env=here, capture_output=True, text=True).stderr
+    return run
+
+
+@pytest.mark.slow
+def test_models_trained_elsewhere_are_the_same_to_the_bit(data, tmp_path, monkeypatch, elsewhere):
+    monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path / "pretrained")
+    recipe = TRAINING | {"device": "cpu", "checkpoint_every": 2}
+    file, out = tmp_path / "pairs.safetensors", tmp_path / "pretrained" / "small"
+    experiments.pack(file, ["box", "axis"], recipe, data, 100, profile="small")
+    asked = [file, "--out", out, "--device", "cpu", "--threads", 1]
+    ended = elsewhere(*asked)
+    assert ended.returncode == 0, ended.stderr
+    for name in ("box", "axis"):
+        assert committed_weights(name, recipe, data, 100) == (out / f"{name}.safetensors", "")
+        theirs = TrainedModel.load(out / f"{name}.safetensors")
+        ours = TrainedModel.load(experiments.trained_model_file(name, recipe, data, 100, threads=1))
+        assert theirs.history == ours.history
+        for mine, other in zip(ours.net.parameters(), theirs.net.parameters(), strict=True):
+            assert torch.equal(mine.half().float(), other)
+        known = [{k: v for k, v in m.metadata.items() if not k.startswith("seconds")} for m in (ours, theirs)]
+        assert known[1] == known[0] | {"profile": "small"} and known[0]["held_out_loss"] > 0
+    again = elsewhere(*asked)  # from the last checkpoints: nothing is trained twice
+    assert again.returncode == 0 and "step" not in again.stdout
+
+
+@pytest.mark.slow
+def test_a_pack_that_cannot_be_used_is_named_in_one_line(data, tmp_path, elsewhere):
+    file = tmp_path / "pairs.safetensors"
+    experiments.pack(file, ["box"], TRAINING, data, 100)
+    unknown = elsewhere(file, "--only", "height")
+    file.write_bytes(file.read_bytes()[:-7])
+    for ended, message in (
+        (elsewhere("none.safetensors"), "inflate: no pack file at none.safetensors\n"),
+        (unknown, f"inflate: {file} has no model 'height'; it has box\n"),
+        (elsewhere(file), f"inflate: {file} is truncated"),
+    ):
+        assert ended.returncode == 1 and ended.stderr.startswith(message) and ended.stderr.count("\n") == 1
