@@ -215,7 +215,7 @@ def training_cost(names: Sequence[str], training, data, n_augmented=augmentation
     """
 
     def one(name, threads):
-        whole = trainingtraining_config(name, training, seed)
+        whole = training_config(name, training, seed)
         config = replace(whole, steps=steps, epochs=None, log_every=max(1, steps // 10))
         images, conditions = training_pairs(data, name, n_augmented, seed)
         model = train(images, conditions, config, progress=f"dry run {name}", threads=threads)
