@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -336,6 +337,22 @@ def test_history_and_progress(capsys):
 def test_epochs_count_batches():
     model = train(*data(20), config(steps=None, epochs=3, batch_size=8, log_every=1), progress=False)
     assert model.history["step"][-1] == 9  # 8 + 8 + 4 structures an epoch
+
+
+def test_half_precision_is_of_the_networks_arithmetic_alone():
+    """What a GPU does by default: bfloat16 has three digits, weights and losses stay in single precision."""
+    whole, half = (train(*data(), config(precision=p), progress=False, threads=1) for p in ("float32", "bfloat16"))
+    assert half.history["loss"] != whole.history["loss"]
+    np.testing.assert_allclose(half.history["loss"], whole.history["loss"], rtol=0.02)
+    assert {p.dtype for p in half.net.parameters()} == {torch.float32}
+
+
+def test_a_compiled_network_is_one_graph_and_learns_the_same(monkeypatch):
+    """Whatever a compiler makes of the graph; here it is only traced. Batches of 8, 8 and 4 make two of it."""
+    monkeypatch.setattr(torch, "compile", partial(torch.compile, fullgraph=True, backend="eager"))
+    plain, compiled = (train(*data(), config(compile=c), progress=False, threads=1) for c in (False, True))
+    np.testing.assert_allclose(compiled.history["loss"], plain.history["loss"], rtol=1e-5)
+    assert list(compiled.net.state_dict()) == list(plain.net.state_dict())
 
 
 def test_images_may_be_floats():

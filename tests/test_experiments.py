@@ -3,7 +3,8 @@
 import os
 import shutil
 import subprocess
-import sys
+import venv
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -217,33 +218,28 @@ def test_a_descriptor_may_have_a_number_of_steps_of_its_own():
 
 # --- training elsewhere --------------------------------------------------------------------------------------------
 
-LITTLE = """
-import sys
-
-class Missing:
-    def find_spec(self, name, path=None, target=None):
-        there = {"torch", "torchgen", "functorch", "numpy", "safetensors", "inflate_lib", "typing_extensions", "tqdm"}
-        if name.partition(".")[0] not in there | set(sys.stdlib_module_names) and not name.startswith("_"):
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-sys.meta_path.insert(0, Missing())
-"""
+BROUGHT_BY_PYTORCH = "torchgen functorch filelock fsspec jinja2 markupsafe mpmath networkx sympy typing_extensions.py"
 
 
-@pytest.fixture
-def elsewhere(tmp_path):
-    """Run ``python -m inflate_lib.remote`` where only PyTorch, NumPy and safetensors can be imported."""
-    (tmp_path / "sitecustomize.py").write_text(LITTLE)
-    path = os.pathsep.join([str(tmp_path), str(paths.ROOT)])
-    here = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory):
+    """Run ``python -m inflate_lib.remote`` in an environment of its own: PyTorch, NumPy, safetensors, and no more."""
+    home = tmp_path_factory.mktemp("elsewhere")
+    venv.create(home, symlinks=True)
+    (there,) = home.glob("lib/python*/site-packages")
+    patterns = ["torch", "numpy", "numpy.libs", "safetensors", "nvidia", "triton", *BROUGHT_BY_PYTORCH.split()]
+    for pattern in patterns:
+        for package in Path(torch.__file__).parents[1].glob(pattern):
+            (there / package.name).symlink_to(package)
+    (there / "inflate_lib").symlink_to(Path(experiments.__file__).parent)
+    here = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"} | {"OMP_NUM_THREADS": "1"}
 
     def run(*arguments):
-        command = [sys.executable, "-m", "inflate_lib.remote", *map(str, arguments)]
-        return subprocess.run(command, env=here, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+        command = [home / "bin" / "python", *map(str, arguments)]
+        return subprocess.run(command, env=here, cwd=home, capture_output=True, text=True, timeout=1200, check=False)
 
-    bare = [sys.executable, "-c", "import scipy"]
-    assert "No module named 'scipy'" in subprocess.run(bare, env=here, capture_output=True, text=True).stderr
-    return run
+    assert "No module named 'scipy'" in run("-c", "import scipy").stderr
+    return lambda *arguments: run("-m", "inflate_lib.remote", *arguments)
 
 
 @pytest.mark.slow
