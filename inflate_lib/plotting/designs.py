@@ -12,7 +12,7 @@ from inflate_lib.plotting.mechanics import STRETCH_MAP
 from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label, place_axis
 from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure, picture_axes
 
-NAMES = {"height": "h", "width": "w", "area": "A", "stress": "stress", "stretch": "stretch", "axis": "axis"}
+NAMES = {"height": "h", "width": "w", "area": "A", "stress": "σ", "stretch": "s", "axis": "axis"}
 
 
 def plot_designs(designs, columns=6, colour=None):
