@@ -213,7 +213,7 @@ def test_learns_sixteen_structures_by_heart():
     ],
 )
 def test_the_loop_is_the_textbooks(options):
-    """The same random numbers in a plain loop, which is written down from the definitions: weights and losses agree.
+    """The same random numbers in a plain loop, which is written down from the definitions: losses and answers agree.
 
     Three batches to an epoch, the last one half as large; every second descriptor is withheld.
     """
@@ -255,8 +255,13 @@ def test_the_loop_is_the_textbooks(options):
         decay = min(given.ema_decay, (1 + step) / (10 + step))
         average = [decay * a + (1 - decay) * p.detach() for a, p in zip(average, net.parameters(), strict=True)]
     np.testing.assert_allclose(model.history["loss"], losses, rtol=1e-4)
-    for ours, reference in zip(model.net.parameters(), average, strict=True):
-        torch.testing.assert_close(ours.detach(), reference, rtol=0, atol=2e-5)  # a step moves a weight by up to 1e-3
+    # Answers, not weights: Adam moves a weight that has no effect (a bias before a normalisation) by its rounding error.
+    with torch.no_grad():
+        for p, a in zip(net.parameters(), average, strict=True):
+            p.copy_(a)
+        ours, reference = (one(noise, t, y) for one in (model.net, net))
+    assert reference.std() > 0.01
+    torch.testing.assert_close(ours, reference, rtol=0, atol=1e-3 * reference.std().item())
 
 
 def test_noise_prediction_learns_too():
