@@ -255,7 +255,7 @@ def test_the_loop_is_the_textbooks(options):
         decay = min(given.ema_decay, (1 + step) / (10 + step))
         average = [decay * a + (1 - decay) * p.detach() for a, p in zip(average, net.parameters(), strict=True)]
     np.testing.assert_allclose(model.history["loss"], losses, rtol=1e-4)
-    # Answers, not weights: Adam moves a weight that has no effect (a bias before a normalisation) by its rounding error.
+    # Answers, not weights: Adam moves a weight that has no effect (a bias before a normalisation) by rounding errors.
     with torch.no_grad():
         for p, a in zip(net.parameters(), average, strict=True):
             p.copy_(a)
