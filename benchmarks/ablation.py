@@ -21,11 +21,11 @@ from inflate_lib import ablation, diffusion, generation
 from inflate_lib.cache import code_version
 from inflate_lib.datasets import simulated_sevens
 from inflate_lib.descriptors import descriptor_matrix
-from inflate_lib.diffusion import TrainedModel, TrainingConfig, train
-from inflate_lib.diffusion.training import simple_loss
+from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.experiments import committed_weights, trained_model_file, training_pairs
 from inflate_lib.generation import held_out, held_out_targets
 from inflate_lib.profiles import load_profile
+from inflate_lib.remote import train_and_test
 
 NORMALISATION = "network", "one group in each normalisation"
 
@@ -73,12 +73,10 @@ def run(variant, seed, training, n_structures, data, targets, common, descriptor
 def train_with_one_group(seed, training, data, n_augmented, descriptor):
     """As `trained_model_file` does, but not kept: a model file does not tell one normalisation from another."""
     pairs = training_pairs(data, descriptor, n_augmented, seed)
-    name = f"training {descriptor}, one group"
-    model = train(*pairs, OneGroup.from_dict({**training, "seed": seed}), progress=name, threads=1)
-    unseen = data.isel(structure=data["converged"].values & held_out(data))
-    loss = simple_loss(model, unseen["image"].values, descriptor_matrix(unseen, descriptor))
-    model.metadata |= {"pairs": len(pairs[0]), "held_out_loss": loss}
-    return model
+    rest = data.isel(structure=data["converged"].values & held_out(data))
+    unseen = rest["image"].values, descriptor_matrix(rest, descriptor)
+    config = OneGroup.from_dict({**training, "seed": seed})
+    return train_and_test(pairs, unseen, config, {}, None, f"training {descriptor}, one group", 1)
 
 
 def main():

@@ -17,19 +17,16 @@ import warnings
 
 import numpy as np
 import pandas as pd
-import xarray as xr
 from stored import store
 
-from inflate_lib import datasets, generation
 from inflate_lib.ablation import evaluate_variant
-from inflate_lib.cache import cached, digest
 from inflate_lib.calibration import Calibration
 from inflate_lib.datasets import simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, descriptor_matrix
 from inflate_lib.design_targets import relative_misses
-from inflate_lib.diffusion import TrainedModel, generate
+from inflate_lib.diffusion import TrainedModel
 from inflate_lib.evaluation import bootstrap
-from inflate_lib.generation import held_out_targets, inside, judge, model_digest, training_rows
+from inflate_lib.generation import held_out_targets, run_experiment, training_rows
 from inflate_lib.inverse_design import MODELS
 from inflate_lib.paths import PRETRAINED
 from inflate_lib.profiles import load_profile
@@ -43,7 +40,6 @@ TOGETHER = (
     ("stress", "axis"),
 )
 NEAR = 0.05
-PIECE = 200  # structures drawn and inflated at a time, which is what a stopped script can lose
 COLUMNS = np.repeat(list(PARTS), list(PARTS.values()))  # what each number that the joint model is told belongs to
 
 
@@ -94,9 +90,7 @@ class Study:
         """Rows of several descriptors at once: the single model that takes most of them, and the joint model."""
         single = next(name for name, takes in MODELS.items() if takes and set(takes) <= set(parts))
         joint, seed = descriptor_matrix(self.data, JOINT), self.given.seed
-        held_out = np.flatnonzero(self.data["converged"].values & generation.held_out(self.data))
-        rows = np.random.default_rng(seed).permutation(held_out)
-        rows = rows[inside(self.models[JOINT], JOINT, joint[rows])][: self.given.targets]
+        _, rows = held_out_targets(self.data, JOINT, self.models[JOINT], self.given.targets, seed)
         asked = np.where(np.isin(COLUMNS, parts), joint, np.nan)
         known = np.random.default_rng([seed, 5]).permutation(training_rows(self.data))[: self.n_calibration]
         for model_name, model, sampling in self.ways(single):
@@ -106,7 +100,8 @@ class Study:
             columns = np.isfinite(wanted).all(axis=0)
             if calibration:
                 wanted[:, columns] = calibration.told(wanted[:, columns])
-            drawn = self.drawn(model, np.repeat(wanted, self.given.candidates, axis=0), sampling, seed)
+            repeated = np.repeat(wanted, self.given.candidates, axis=0)
+            drawn = self.drawn(model, model_name, repeated, sampling, seed)
             target = np.repeat(joint[rows], self.given.candidates, axis=0)
             achieved = descriptor_matrix(drawn, JOINT)
             misses = [relative_misses(part, achieved[:, COLUMNS == part], target[:, COLUMNS == part]) for part in parts]
@@ -117,29 +112,19 @@ class Study:
 
     def calibration(self, model, name, told, sampling):
         """What a model has to be told; None for one that does not listen enough."""
-        drawn = self.drawn(model, told, sampling, self.given.seed + 1_000_003)
+        drawn = self.drawn(model, name, told, sampling, self.given.seed + 1_000_003)
         columns, valid = np.isfinite(told).all(axis=0), drawn["valid"].values
         try:
             return Calibration.fit(told[valid][:, columns], descriptor_matrix(drawn, name)[valid][:, columns])
         except ValueError:
             return None
 
-    def drawn(self, model, told, sampling, seed):
-        """One structure for each row that a model is told, inflated and judged, piece by piece."""
-
-        def make(target, scratch):
-            with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")  # calibrated ones may
-                images = generate(model, piece, seed=seed, start=start, **sampling)
-            datasets.save_dataset(judge(images, JOINT, piece, n_jobs=1), target)
-
-        pieces = []
-        for start in range(0, len(told), PIECE):
-            piece = told[start : start + PIECE]
-            key = {"model": model_digest(model), "told": digest(piece), "sampling": sampling, "seed": seed}
-            key |= {"start": start, "code": generation.code()}
-            pieces.append(datasets.load_dataset(cached("joint", key, make, ".nc")))
-        return xr.concat(pieces, "structure", data_vars="minimal", combine_attrs="drop_conflicts")
+    def drawn(self, model, name, told, sampling, seed):
+        """One structure for each row that a model is told, NaN where it is not, inflated and judged."""
+        with warnings.catch_warnings():
+            # NaN does, and so may what is calibrated.
+            warnings.filterwarnings("ignore", ".* lie outside the training data")
+            return run_experiment(model, name, told, 1, sampling, seed, 1, extrapolate=True)
 
     def measured(self, worst):
         """Median of the largest relative errors, and how many are near, with intervals."""

@@ -146,7 +146,7 @@ def _declared(notebook: Path, _changed: int, _size: int) -> dict[str, Any]:
 def _mismatch(where: str, value: Any, default: Any) -> str | None:
     """What is wrong with a value, given the notebook's default; None where it fits.
 
-    A mapping may leave out entries of the default, but have none of its own.
+    A mapping may leave out entries of the default, but have none of its own, unless the default is empty.
     """
     if isinstance(value, Mapping) and isinstance(default, Mapping) and default:
         if unknown := [name for name in value if name not in default]:
