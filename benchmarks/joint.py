@@ -17,16 +17,19 @@ import warnings
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from stored import store
 
+from inflate_lib import datasets, generation
 from inflate_lib.ablation import evaluate_variant
+from inflate_lib.cache import cached, digest
 from inflate_lib.calibration import Calibration
 from inflate_lib.datasets import simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, descriptor_matrix
 from inflate_lib.design_targets import relative_misses
-from inflate_lib.diffusion import TrainedModel
+from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.evaluation import bootstrap
-from inflate_lib.generation import held_out_targets, run_experiment, training_rows
+from inflate_lib.generation import held_out_targets, judge, model_digest, training_rows
 from inflate_lib.inverse_design import MODELS
 from inflate_lib.paths import PRETRAINED
 from inflate_lib.profiles import load_profile
@@ -40,6 +43,7 @@ TOGETHER = (
     ("stress", "axis"),
 )
 NEAR = 0.05
+PIECE = 200  # structures drawn and inflated at a time, which is what a stopped script can lose
 COLUMNS = np.repeat(list(PARTS), list(PARTS.values()))  # what each number that the joint model is told belongs to
 
 
@@ -100,8 +104,7 @@ class Study:
             columns = np.isfinite(wanted).all(axis=0)
             if calibration:
                 wanted[:, columns] = calibration.told(wanted[:, columns])
-            repeated = np.repeat(wanted, self.given.candidates, axis=0)
-            drawn = self.drawn(model, model_name, repeated, sampling, seed)
+            drawn = self.drawn(model, np.repeat(wanted, self.given.candidates, axis=0), sampling, seed)
             target = np.repeat(joint[rows], self.given.candidates, axis=0)
             achieved = descriptor_matrix(drawn, JOINT)
             misses = [relative_misses(part, achieved[:, COLUMNS == part], target[:, COLUMNS == part]) for part in parts]
@@ -112,19 +115,32 @@ class Study:
 
     def calibration(self, model, name, told, sampling):
         """What a model has to be told; None for one that does not listen enough."""
-        drawn = self.drawn(model, name, told, sampling, self.given.seed + 1_000_003)
+        drawn = self.drawn(model, told, sampling, self.given.seed + 1_000_003)
         columns, valid = np.isfinite(told).all(axis=0), drawn["valid"].values
         try:
             return Calibration.fit(told[valid][:, columns], descriptor_matrix(drawn, name)[valid][:, columns])
         except ValueError:
             return None
 
-    def drawn(self, model, name, told, sampling, seed):
-        """One structure for each row that a model is told, NaN where it is not, inflated and judged."""
-        with warnings.catch_warnings():
-            # NaN does, and so may what is calibrated.
-            warnings.filterwarnings("ignore", ".* lie outside the training data")
-            return run_experiment(model, name, told, 1, sampling, seed, 1, extrapolate=True)
+    def drawn(self, model, told, sampling, seed):
+        """One structure for each row that a model is told, inflated and judged, piece by piece.
+
+        `run_experiment` has whole targets only; here most of what the joint model could be told is NaN.
+        """
+
+        def make(target, scratch):
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")  # calibrated ones may
+                images = generate(model, piece, seed=seed, start=start, **sampling)
+            datasets.save_dataset(judge(images, JOINT, piece, n_jobs=1), target)
+
+        pieces = []
+        for start in range(0, len(told), PIECE):
+            piece = told[start : start + PIECE]
+            key = {"model": model_digest(model), "told": digest(piece), "sampling": sampling, "seed": seed}
+            key |= {"start": start, "code": generation.code()}
+            pieces.append(datasets.load_dataset(cached("joint", key, make, ".nc")))
+        return xr.concat(pieces, "structure", data_vars="minimal", combine_attrs="drop_conflicts")
 
     def measured(self, worst):
         """Median of the largest relative errors, and how many are near, with intervals."""
