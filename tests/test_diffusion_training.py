@@ -94,7 +94,7 @@ def cut(*content, **more):
     saved.append(0)
     return save(*content, **more)[: 1000 if len(saved) == 2 else None]
 storage.save = cut
-die(os, 'fsync', lambda file: len(saved) == 1)""",
+die(os, 'fsync', lambda file: len(saved) == 2)""",
     "in the last step": "die(_Run, 'advance', lambda run, rows: run.step == 23)",
 }
 
@@ -118,9 +118,13 @@ def child(folder, preparation):
 
 @pytest.mark.slow
 def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tmp_path):
+    reached = []
     for moment, preparation in DEATHS.items():
         ended = child(tmp_path, preparation)
         assert ended.returncode == -signal.SIGKILL, (moment, ended.stderr)
+        there = (tmp_path / CHECKPOINT).exists()
+        reached.append(storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] if there else 0)
+    assert reached == [0, 0, 0, 8, 16]  # the last checkpoint that was whole
     killed = train(*data(), config(learning_rate_decay="cosine"), tmp_path, progress=False, threads=1)
     whole = train(*data(), config(learning_rate_decay="cosine"), progress=False, threads=1)
     assert killed.history == whole.history  # to the last bit

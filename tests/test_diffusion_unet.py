@@ -9,7 +9,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from inflate_lib.diffusion import TrainingConfig, UNet
-from inflate_lib.diffusion.unet import CONDITIONINGS, ResidualBlock, sinusoidal_embedding
+from inflate_lib.diffusion.unet import CONDITIONINGS, Attention, ResidualBlock, sinusoidal_embedding
 
 
 def shaken(**options):
@@ -114,6 +114,15 @@ def test_leaner_than_diffusers_at_the_same_widths():
     assert 1.4 * flops[0] < flops[1]
 
 
+def test_the_bridge_carries_detail_across():
+    """With no gradient through the coarse grids, what is left comes over the skip at the full resolution."""
+    net = shaken(channels=(8, 16, 16))
+    for up in net.ups:
+        up.register_forward_hook(lambda layer, given, answer: answer.detach())
+    net(*inputs()).square().mean().backward()
+    assert net.stem.weight.grad.abs().max() > 0 and all(p.grad is None for p in net.middle.parameters())
+
+
 @pytest.mark.parametrize("options", OPTIONS[:4])
 def test_a_withheld_descriptor_is_the_null_vector(options):
     net = shaken(**options)
@@ -159,6 +168,20 @@ def test_attention_changes_the_answer_only_after_training():
     torch.testing.assert_close(net.attention(h), h)
     torch.nn.init.normal_(net.attention.out.weight)
     assert (net.attention(h) - h).abs().max() > 0.1
+
+
+def test_attention_agrees_with_pytorchs_own():
+    """`torch.nn.MultiheadAttention` with the same weights, to which the pixels are a sequence."""
+    torch.manual_seed(0)
+    layer, peer = Attention(8, heads=2, groups=4).double(), torch.nn.MultiheadAttention(8, 2, batch_first=True).double()
+    torch.nn.init.normal_(layer.out.weight)
+    into, out = layer.qkv, layer.out
+    weights = {"in_proj_weight": into.weight.flatten(1), "out_proj.weight": out.weight.flatten(1)}
+    peer.load_state_dict(weights | {"in_proj_bias": into.bias, "out_proj.bias": out.bias})
+    x = torch.randn(3, 8, 4, 5).double()
+    pixels = layer.norm(x).flatten(2).transpose(1, 2)
+    expected = peer(pixels, pixels, pixels)[0].transpose(1, 2).reshape(x.shape)
+    torch.testing.assert_close(layer(x), x + expected)
 
 
 def test_rows_do_not_see_each_other():

@@ -3,6 +3,7 @@
 import os
 import shutil
 import subprocess
+import sys
 import venv
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 import xarray as xr
+import yaml
 
 from inflate_lib import experiments, paths
 from inflate_lib.augmentation import apply_variants, augment
@@ -206,6 +208,34 @@ def test_a_dry_run_projects_the_whole_training(data, tmp_path, monkeypatch):
     np.testing.assert_allclose(cost["hours"], cost["seconds per step"] * 5000 / 3600)
     np.testing.assert_allclose(cost["images per second"], 8 / cost["seconds per step"])
     assert not list(tmp_path.iterdir())  # nothing is kept
+
+
+@pytest.mark.slow
+def test_the_command_trains_in_two_processes_as_in_one(tmp_path):
+    """`inflate train` alone and under torchrun: the same losses, and what is written is written once."""
+    home = tmp_path / "home"
+    (home / "notebooks" / "profiles").mkdir(parents=True)
+    (home / "notebooks" / "08_training.md").symlink_to(paths.NOTEBOOKS / "08_training.md")
+    common = {"source": "digits", "n_structures": 20, "n_augmented": 50, "training": TRAINING | {"checkpoint_every": 2}}
+    profile = {"name": "small", "description": "", "common": common, "notebooks": {}}
+    (home / "notebooks" / "profiles" / "small.yml").write_text(yaml.safe_dump(profile))
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    found = {}
+    for way, launcher in {"alone": [], "together": torchrun}.items():
+        out = tmp_path / way
+        command = [sys.executable, *launcher, "-m", "inflate_lib", "train", "--profile", "small", "--descriptor", "box"]
+        command += ["--device", "cpu", "--out", str(out), "--log", str(out / "log")]
+        place = {"INFLATE_HOME": str(home), "INFLATE_CACHE": str(tmp_path / f"cache {way}"), "OMP_NUM_THREADS": "1"}
+        here = os.environ | place | {"PYTHONPATH": str(Path(experiments.__file__).parents[1])}
+        ended = subprocess.run(command, env=here, capture_output=True, text=True, timeout=600, check=False)
+        assert ended.returncode == 0, ended.stderr
+        assert ended.stdout.count("box: ") == 1  # one process tells the result
+        assert len((out / "log" / "box" / "history.csv").read_text().splitlines()) == 3  # steps 2 and 4
+        found[way] = TrainedModel.load(out / "box.safetensors")
+    alone, together = found.values()
+    for name, values in alone.history.items():
+        np.testing.assert_allclose(together.history[name], values, rtol=1e-5)
+    assert together.metadata["held_out_loss"] == pytest.approx(alone.metadata["held_out_loss"], rel=1e-3)
 
 
 def test_a_descriptor_may_have_a_number_of_steps_of_its_own():

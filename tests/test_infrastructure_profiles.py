@@ -1,8 +1,14 @@
 """Profiles: every mistake in one is found before anything runs, and named."""
 
+import math
+
 import pytest
+import yaml
 
 from inflate_lib import paths
+from inflate_lib.descriptors import DESCRIPTORS
+from inflate_lib.diffusion import TrainingConfig
+from inflate_lib.experiments import training_config
 from inflate_lib.profiles import ProfileError, check_profile, declared_parameters, load_profile
 from inflate_lib.reproduce import find_notebooks
 
@@ -135,3 +141,26 @@ def test_notebook_defaults_are_the_ci_profile(path):
     used = load_profile("ci").parameters(path)
     assert used.pop("profile") == "ci"
     assert used == declared
+
+
+def test_the_paper_profile_is_what_the_paper_prints():
+    entries = yaml.safe_load((paths.REFERENCE / "paper.yml").read_text(encoding="utf-8"))
+    printed = {name: entry["value"] for name, entry in entries.items()}
+    common = load_profile("paper").common
+    n, sampling = common["n_augmented"], common["sampling"]
+    assert n == printed["augmented_samples"] and printed["descriptor_dimension"] == DESCRIPTORS
+    assert (sampling["sampler"], sampling["guidance"], common["n_calibration"]) == ("ancestral", printed["guidance"], 0)
+    per_epoch = math.ceil(n / printed["batch_size"])
+    for config in (training_config("height", common["training"]), TrainingConfig(epochs=150)):  # and the defaults
+        assert config.T == sampling["steps"] == printed["diffusion_steps"]
+        assert [1, *config.channels] == printed["channels"] and config.embedding == printed["embedding_dimension"]
+        net = config.make_net(1)
+        widths = [layer.out_features for layer in net.descriptor if hasattr(layer, "out_features")]
+        assert widths == [*printed["descriptor_hidden_units"], printed["embedding_dimension"]]
+        assert (config.vlb_weight, config.condition_dropout) == (printed["vlb_weight"], printed["condition_dropout"])
+        assert (config.batch_size, config.learning_rate) == (printed["batch_size"], printed["learning_rate"])
+        assert config.training_steps(n) == printed["epochs"] * per_epoch
+        assert config.checkpoint_steps(n) == printed["checkpoint_epochs"] * per_epoch
+        # and none of the options that the paper does not have
+        assert (config.objective, config.timestep_draws, config.min_snr, config.ema_decay) == ("epsilon", 1, 0, 0)
+        assert (config.learning_rate_decay, config.warmup_steps) == ("constant", 0)
