@@ -207,7 +207,7 @@ def train(
 ) -> None:
     """Train the models of a profile, or find them trained in the cache. A killed training goes on where it was.
 
-    Several GPUs or machines: torchrun --nproc-per-node 2 -m inflate_lib train …
+    Several GPUs or machines: torchrun --nproc-per-node 2 -m -- inflate_lib train … (-- keeps torchrun from --log)
 
     A machine that has little but PyTorch: --pack pairs.safetensors, and there python -m inflate_lib.remote …
     """
