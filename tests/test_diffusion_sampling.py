@@ -9,7 +9,15 @@ from diffusion_peers import SCHEDULE, Mixture, ddim_law, diffusers_scheduler
 from scipy.stats import kstest
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, process
-from inflate_lib.diffusion.sampling import ancestral_step, ddim_step, denoise, dpm_solver_step, guided, timesteps
+from inflate_lib.diffusion.sampling import (
+    SAMPLERS,
+    ancestral_step,
+    ddim_step,
+    denoise,
+    dpm_solver_step,
+    guided,
+    timesteps,
+)
 
 MEAN, DEVIATION = 0.2, 0.1  # of the Gaussian toy
 GAUSSIAN = Mixture([1.0], [MEAN], [DEVIATION])
@@ -64,6 +72,21 @@ def test_gaussian_toy_ends_with_the_samplers_own_spread(sampler, steps, eta, pub
         assert deviation == pytest.approx(published, abs=6e-4)
     assert x.mean().item() == pytest.approx(mean, abs=5 * deviation / 20_000**0.5)
     assert x.std().item() == pytest.approx(deviation, rel=5 / 40_000**0.5)
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_estimates_of_the_image_are_clipped_where_that_is_wanted(sampler):
+    """A network that draws pixels of 3, three times as bright as an image can be."""
+    bright = Mixture([1.0], [3.0], [0.1])
+    for clip, least, most in ((True, 0.9, 1 + 1e-9), (False, 2.5, 3.5)):
+        g = torch.Generator().manual_seed(0)
+        noise = iter(lambda g=g: torch.randn(100, 1, 1, 1, generator=g, dtype=torch.float64), None)
+
+        def predict(x, t):
+            return bright.answer(x, t, "v")
+
+        *_, x = denoise(predict, SCHEDULE, noise, "v", sampler, clip=clip)
+        assert least <= x.min().item() and x.max().item() <= most
 
 
 # --- two hills: the whole distribution. Each of these tests would raise a false alarm for one seed in a thousand. -----

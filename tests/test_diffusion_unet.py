@@ -115,12 +115,12 @@ def test_leaner_than_diffusers_at_the_same_widths():
 
 
 def test_the_bridge_carries_detail_across():
-    """With no gradient through the coarse grids, what is left comes over the skip at the full resolution."""
+    """With all that comes up from the coarser grids silenced, images still differ by what the skip has brought over."""
     net = shaken(channels=(8, 16, 16))
     for up in net.ups:
-        up.register_forward_hook(lambda layer, given, answer: answer.detach())
-    net(*inputs()).square().mean().backward()
-    assert net.stem.weight.grad.abs().max() > 0 and all(p.grad is None for p in net.middle.parameters())
+        up.register_forward_hook(lambda layer, given, answer: torch.zeros_like(answer))
+    x, t, y = inputs()
+    assert (net(x, t, y) - net(x.flip(0), t, y)).abs().max() > 0.1
 
 
 @pytest.mark.parametrize("options", OPTIONS[:4])
