@@ -249,7 +249,7 @@ def training_config(descriptor, training, seed=0):
     descriptor : str
     training : Mapping
         Options of :class:`inflate_lib.diffusion.TrainingConfig`; ``steps_of``, where it is there, gives some
-        descriptors a number of steps of their own: ``{"area": 24000}``.
+        descriptors a number of steps of their own: ``{"area": 20000}``.
     seed : int
     """
     options = {**training, "seed": seed}

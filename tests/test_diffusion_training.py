@@ -133,18 +133,22 @@ def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on the size of files")
-def test_a_full_disk_stops_with_a_message_and_keeps_the_old_checkpoint(tmp_path):
-    """The limit on the size of a file stands in for the disk: the second checkpoint meets it in the middle."""
-    limit = """
+@pytest.mark.parametrize(
+    ("step", "kept"), [(0, "step 8 (there is no checkpoint yet)"), (8, "step 16 (the checkpoint before it is kept)")]
+)
+def test_a_full_disk_stops_with_a_message_and_keeps_the_old_checkpoint(step, kept, tmp_path):
+    """The limit on the size of a file stands in for the disk: the next checkpoint meets it in the middle."""
+    limit = f"""
 def full(run, rows):
-    if run.step == 8:
+    if run.step == {step}:
         resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
 die(_Run, 'advance', full)"""
     ended = child(tmp_path, limit)
     assert ended.returncode == 1
-    assert "File too large at step 16 (the checkpoint before it is kept)" in ended.stderr.splitlines()[-1]
-    assert storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == 8
-    assert os.listdir(tmp_path) == [CHECKPOINT]
+    assert f"File too large at {kept}" in ended.stderr.splitlines()[-1]
+    assert os.listdir(tmp_path) == [CHECKPOINT] * (step > 0)
+    if step:
+        assert storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == step
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):

@@ -82,7 +82,7 @@ def train(
     FloatingPointError
         The loss is no longer finite. The last checkpoint, written while it was, is kept.
     OSError
-        A checkpoint cannot be written (full disk). The one before is kept.
+        A checkpoint cannot be written (full disk). The one before, if there is one, is kept.
     """
     images, conditions = _checked(images, conditions, config)
     threads_before = torch.get_num_threads()
@@ -169,7 +169,8 @@ class _Run:
             step = torch.zeros((), device=self.device if on_gpu else "cpu")
             self.optimiser.state[p] = {"step": step, "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
             p.grad = torch.zeros_like(p)
-        self.predict = torch.compile(self.net) if config.compile else self.net
+        # Not dynamic: the smaller batch at an epoch's end gets a graph of its own, and the others keep theirs.
+        self.predict = torch.compile(self.net, dynamic=False) if config.compile else self.net
         self.step, self.history = 0, {"step": [], "loss": [], "simple": [], "vlb": []}
         self.seconds, self.per_step = 0.0, []  # spent in all; of one step, on average between entries of the history
         # Loss, simple and vlb part, summed since the last entry of the history.
@@ -302,8 +303,8 @@ class _Run:
         try:
             storage.write(self.path, "checkpoint", tensors, content)
         except OSError as error:
-            what = f"{error.strerror} at step {self.step} (the checkpoint before it is kept)"
-            raise OSError(error.errno, what, str(self.path)) from error
+            kept = "the checkpoint before it is kept" if self.path.exists() else "there is no checkpoint yet"
+            raise OSError(error.errno, f"{error.strerror} at step {self.step} ({kept})", str(self.path)) from error
 
     def restore(self) -> None:
         try:
