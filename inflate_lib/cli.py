@@ -219,6 +219,8 @@ def train(
 
     if pack is not None and (steps, out, log) != (None, None, None):
         raise ValueError("--pack trains nothing: leave out --steps, --out and --log")
+    if steps is not None and (out, log) != (None, None):
+        raise ValueError("--steps is a dry run, which keeps nothing: leave out --out and --log")
     names = list(DESCRIPTORS) if descriptor == "all" else [check_name(descriptor)]
     given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
     training = given["training"] | ({"device": device} if device else {}) | ({"compile": True} if compile else {})

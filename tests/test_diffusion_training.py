@@ -6,12 +6,14 @@ import signal
 import subprocess
 import sys
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, process, storage, train
+from inflate_lib.diffusion.logs import Log
 from inflate_lib.diffusion.training import CHECKPOINT, _Run, choose_device, losses_in_time, random_generator
 
 TINY = {"channels": (4, 8), "embedding": 16, "hidden": 8, "batch_size": 8, "learning_rate": 1e-3}
@@ -403,6 +405,15 @@ def test_without_tensorboard_a_line_says_so(tmp_path, monkeypatch, capsys):
     train(*data(), config(steps=3), progress=False, threads=1, log=tmp_path)
     assert "tensorboard is not installed" in capsys.readouterr().out
     assert os.listdir(tmp_path) == ["history.csv"]
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+def test_a_log_that_does_not_fit_on_its_disk_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    log = Log(tmp_path, 0)
+    log.path = Path("/dev/full")
+    with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
+        log.add(step=1, loss=0.5, simple=0.5, vlb=0.1, seconds=1.0)
 
 
 # --- several processes ---------------------------------------------------------------------------------------------

@@ -299,10 +299,19 @@ def test_a_cache_without_room_for_the_run_is_named(home):
         run()
 
 
-def test_a_model_of_nothing_is_refused_before_anything_is_simulated(monkeypatch):
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--descriptor nonsense", "unknown descriptor 'nonsense'"),
+        ("--steps 3 --out weights", "--steps is a dry run, which keeps nothing"),
+        ("--steps 3 --log logs", "--steps is a dry run, which keeps nothing"),
+        ("--pack pairs.safetensors --steps 3", "--pack trains nothing"),
+    ],
+)
+def test_a_training_of_nothing_is_refused_before_anything_is_simulated(words, message, monkeypatch):
     monkeypatch.setattr("inflate_lib.datasets.simulated_sevens", lambda *_: pytest.fail("it simulated"))
-    monkeypatch.setattr(sys, "argv", ["inflate", "train", "--descriptor", "nonsense"])
-    with pytest.raises(SystemExit, match="unknown descriptor 'nonsense'"):
+    monkeypatch.setattr(sys, "argv", ["inflate", "train", *words.split()])
+    with pytest.raises(SystemExit, match=message):
         cli.run()
 
 

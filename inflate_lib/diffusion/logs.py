@@ -59,14 +59,12 @@ class Log:
 
     def add(self, **row: float) -> None:
         """Append a row, by the names of ``COLUMNS``."""
-        with self.path.open("a") as file:
-            file.write(",".join(str(row[name]) for name in COLUMNS) + "\n")
+        try:
+            with self.path.open("a") as file:
+                file.write(",".join(str(row[name]) for name in COLUMNS) + "\n")
+        except OSError as error:  # a full disk, which leaves out the name of the file
+            raise OSError(error.errno, error.strerror, str(self.path)) from error
         if self.events is not None:
             for name in COLUMNS[1:]:
                 self.events.add_scalar(name, row[name], row["step"])
             self.events.flush()
-
-    def close(self) -> None:
-        """Close the files."""
-        if self.events is not None:
-            self.events.close()
