@@ -12,7 +12,6 @@ from inflate_lib.diffusion import TrainedModel
 from inflate_lib.evaluation import score, scores, with_interval
 from inflate_lib.generation import held_out_targets, run_experiment
 
-N_TARGETS = 200  # held-out structures whose descriptors are asked for
 SEED = 1  # of the choice of targets, and of the noise
 
 _CARD = """# Weights of the profile `{profile}`
@@ -41,10 +40,10 @@ the last interval of training, the held-out loss the simple loss on the structur
 
 ## Accuracy
 
-For each model the descriptors of {n} held-out structures were asked for, one structure was drawn for each and
-inflated, and what it achieved was compared with what was asked for; sampling: {sampling}; {calibration}. In
-brackets: 95 % bootstrap intervals. Errors are those of valid structures: drawings of one closed structure that
-converges at each load step.
+For each model the descriptors of {n} held-out structures that lie in the range of its training data were asked for, one
+structure was drawn for each and inflated, and what it achieved was compared with what was asked for; sampling:
+{sampling}; {calibration}. In brackets: 95 % bootstrap intervals. Errors are those of valid structures: drawings of
+one closed structure that converges at each load step.
 
 {accuracy}
 
@@ -70,7 +69,7 @@ _MEASURES = {
 }
 
 
-def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, seed=SEED):
+def write_card(folder, data, sampling: Mapping, n_calibration=0, n: int | None = None, seed=SEED):
     """Measure the models in a folder on held-out targets, and write the card, ``README.md``, beside them.
 
     The measured numbers also go into the header of each file, as ``metadata["metrics"]``. A joint model is asked for
@@ -86,8 +85,10 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, se
         Options of :func:`inflate_lib.diffusion.generate`.
     n_calibration : int
         Structures for :func:`inflate_lib.calibration.calibrate`; 0 for none.
-    n, seed : int
-        Number of held-out targets; seed of their choice and of the noise.
+    n : int, optional
+        Number of held-out targets; all of them by default.
+    seed : int
+        Of the choice of targets, and of the noise.
 
     Returns
     -------
@@ -145,7 +146,7 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n=N_TARGETS, se
         recipe=recipe.to_frame().to_markdown(),
         training=_markdown(training),
         accuracy=_markdown(accuracy),
-        n=n,
+        n="all" if n is None else n,
         sampling=", ".join(f"{key} {value}" for key, value in sampling.items()),
         calibration=how if n_calibration else "the model was told the target itself",
     )

@@ -262,7 +262,9 @@ def _export(file: Path, name: str, profile: str, out: Path | None) -> str:
 def card(
     profile: ProfileName = "laptop",
     folder: Annotated[Path | None, typer.Option(help="Folder of the weights; data/pretrained/<profile>.")] = None,
-    targets: Annotated[int, typer.Option(min=2, help="Held-out targets for each model.")] = 200,
+    targets: Annotated[
+        int | None, typer.Option(min=2, help="Held-out targets for each model; all, by default.")
+    ] = None,
 ) -> None:
     """Measure the weights of a profile on held-out targets, and write the model card beside them."""
     from inflate_lib import paths
