@@ -18,7 +18,7 @@ from inflate_lib.descriptors import DESCRIPTORS
 from inflate_lib.experiments import training_cost
 from inflate_lib.profiles import load_profile
 
-TIMED = {"paper": ["height"], "laptop": DESCRIPTORS}  # those of one profile differ in their steps alone
+TIMED = {"paper": ["height"], "laptop": DESCRIPTORS}  # of the five of paper, one stands for all
 
 
 def main(steps: int = 200):

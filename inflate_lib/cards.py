@@ -50,7 +50,7 @@ one closed structure that converges at each load step.
 ## Limits
 
 - The models draw handwritten sevens of 28 × 28 pixels and know nothing else. Descriptors outside the range of the
-  training data (in each file's header) are refused unless asked for explicitly.
+  training data (in each file's header) are refused by experiments and designs; `inflate_lib.diffusion.generate` warns.
 - The descriptors are those of one material, one wall thickness and one pressure. Other conditions need other
   simulations and other weights.
 - Single structures miss their target by the errors above: simulate what was drawn, and choose. Self-contact of the

@@ -3,6 +3,8 @@
 import time
 from pathlib import Path
 
+from inflate_lib.diffusion.storage import naming
+
 COLUMNS = ("step", "loss", "simple", "vlb", "seconds")
 
 
@@ -48,7 +50,8 @@ class Log:
         before = self.path.read_text().splitlines(keepends=True)[1:] if self.path.exists() else []
         whole = (line for line in before if line.endswith("\n") and line.count(",") == len(COLUMNS) - 1)
         kept = [line for line in whole if int(line.split(",")[0]) <= step]
-        self.path.write_text(",".join(COLUMNS) + "\n" + "".join(kept))
+        with naming(self.path):
+            self.path.write_text(",".join(COLUMNS) + "\n" + "".join(kept))
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
@@ -59,11 +62,8 @@ class Log:
 
     def add(self, **row: float) -> None:
         """Append a row, by the names of ``COLUMNS``."""
-        try:
-            with self.path.open("a") as file:
-                file.write(",".join(str(row[name]) for name in COLUMNS) + "\n")
-        except OSError as error:  # a full disk, which leaves out the name of the file
-            raise OSError(error.errno, error.strerror, str(self.path)) from error
+        with naming(self.path), self.path.open("a") as file:
+            file.write(",".join(str(row[name]) for name in COLUMNS) + "\n")
         if self.events is not None:
             for name in COLUMNS[1:]:
                 self.events.add_scalar(name, row[name], row["step"])

@@ -3,7 +3,8 @@
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,15 @@ def _digest(tensors: Mapping[str, Tensor], content: str) -> str:
     return total.hexdigest()
 
 
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Give the name of the file to an error that leaves it out, as that of a full disk does."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
 def write(path: Path, kind: str, tensors: Mapping[str, Tensor], content: Mapping) -> None:
     """Write a file of this ``kind``; ``content`` is JSON in its header.
 
@@ -37,13 +47,12 @@ def write(path: Path, kind: str, tensors: Mapping[str, Tensor], content: Mapping
     header = {"format": FORMAT, "kind": kind, "content": text, "digest": _digest(tensors, text)}
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
-        with open(partial, "wb") as file:
-            file.write(save(tensors, metadata=header))
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except OSError as error:  # a full disk, which leaves out the name of the file
-        raise OSError(error.errno, error.strerror, str(path)) from error
+        with naming(path):
+            with open(partial, "wb") as file:
+                file.write(save(tensors, metadata=header))
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
 
