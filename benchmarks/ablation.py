@@ -17,15 +17,17 @@ import torch
 from joblib import Parallel, delayed
 from stored import store
 
-from inflate_lib import ablation, diffusion, generation
-from inflate_lib.cache import code_version
-from inflate_lib.datasets import simulated_sevens
+from inflate_lib._cache import code_version
+from inflate_lib.alternatives import ablation
+from inflate_lib.book.profiles import load_profile
+from inflate_lib.datasets.pairs import training_pairs
+from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
-from inflate_lib.experiments import committed_weights, trained_model_file, training_pairs
-from inflate_lib.generation import held_out, held_out_targets
-from inflate_lib.profiles import load_profile
-from inflate_lib.remote import train_and_test
+from inflate_lib.experiments.run import held_out, held_out_targets
+from inflate_lib.models.remote import train_and_test
+from inflate_lib.models.train import trained_model_file
+from inflate_lib.models.weights import committed_weights
 
 NORMALISATION = "network", "one group in each normalisation"
 
@@ -110,7 +112,7 @@ def main():
         training=TrainingConfig.from_dict(training).recipe(),
         sampling=common["sampling"],
         n_augmented=common["n_augmented"],
-        learning_code=code_version(diffusion, generation),
+        learning_code=code_version("inflate_lib.diffusion", "inflate_lib.experiments.run"),
     )
 
 

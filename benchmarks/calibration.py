@@ -13,12 +13,12 @@ from dataclasses import asdict
 import numpy as np
 import pandas as pd
 
-from inflate_lib import descriptors, inflation, mesh, paths, structures
-from inflate_lib.cache import code_version
-from inflate_lib.publishing import package_versions
-from inflate_lib.sources import load_sevens
-from inflate_lib.targets import deviation_from_paper, find_clusters
-from inflate_lib.verification import SETTINGS, simulate_setting
+from inflate_lib import paths
+from inflate_lib._cache import code_version
+from inflate_lib._provenance import package_versions
+from inflate_lib.datasets.settings import SETTINGS, simulate_setting
+from inflate_lib.experiments.targets import deviation_from_paper, find_clusters
+from inflate_lib.structures.sources import load_sevens
 
 
 def main(n_jobs):
@@ -41,7 +41,7 @@ def main(n_jobs):
         "made_by": "benchmarks/calibration.py",
         "data": sevens.description,
         "n_images": len(sevens.images),
-        "code_version": code_version(structures, mesh, inflation, descriptors),
+        "code_version": code_version("inflate_lib.structures", "inflate_lib.mechanics", "inflate_lib.descriptors"),
         "packages": package_versions(),
     }
     (paths.REFERENCE / "calibration.json").write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")

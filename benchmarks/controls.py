@@ -18,23 +18,22 @@ import torch
 from scipy.stats import spearmanr
 from stored import store
 
-from inflate_lib import candidates, datasets, diffusion, generation, sensitivity
-from inflate_lib.cache import cached, code_version, digest
-from inflate_lib.calibration import calibrate
-from inflate_lib.candidates import attempt, border, refine, with_flipped
-from inflate_lib.constraints import Constraints
-from inflate_lib.controls import run_steered, steer
-from inflate_lib.datasets import simulated_sevens
+from inflate_lib._cache import cached, code_version, digest
+from inflate_lib.alternatives.steering import run_steered, steer
+from inflate_lib.alternatives.surrogate import train_surrogate
+from inflate_lib.book.profiles import load_profile
+from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import describe, descriptor_matrix
-from inflate_lib.design_targets import Targets
 from inflate_lib.diffusion import TrainedModel, generate
-from inflate_lib.evaluation import bootstrap, misses, r_squared
-from inflate_lib.generation import held_out_targets, model_digest, run_experiment
-from inflate_lib.inflation import inflate
+from inflate_lib.experiments.calibrate import calibrate
+from inflate_lib.experiments.metrics import bootstrap, misses, r_squared
+from inflate_lib.experiments.run import code, held_out_targets, model_digest, run_experiment
+from inflate_lib.inverse.constraints import Constraints
+from inflate_lib.inverse.refine import attempt, border, refine, with_flipped
+from inflate_lib.inverse.targets import Targets
+from inflate_lib.mechanics.adjoint import flip_changes, sensitivities
+from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.paths import PRETRAINED
-from inflate_lib.profiles import load_profile
-from inflate_lib.sensitivity import flip_changes, sensitivities
-from inflate_lib.surrogate import train_surrogate
 
 DESCRIPTOR = "height"  # a scalar with a sensitivity
 GOAL = 1e-3  # relative error at which a refinement stops
@@ -197,7 +196,7 @@ class Study:
         return json.loads(cached("flips", key, make, ".json").read_text())
 
     def code(self):
-        return [generation.code(), code_version(candidates, sensitivity, datasets, diffusion)]
+        return [code(), code_version("inflate_lib.inverse.refine", "inflate_lib.mechanics.adjoint")]
 
     def add(self, control, effort, achieved, seconds):
         """One row, from what was achieved for each target (NaN: nothing valid)."""

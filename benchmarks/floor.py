@@ -19,8 +19,9 @@ from numba.core.dispatcher import Dispatcher
 from stored import SOLVER, seconds, store
 from threadpoolctl import threadpool_limits
 
-from inflate_lib import build_mesh, inflate, inflation, label_image, load_sevens
-from inflate_lib.material import MU
+from inflate_lib import build_mesh, inflate, label_image, load_sevens
+from inflate_lib.mechanics import inflation
+from inflate_lib.mechanics.material import MU
 
 REFINEMENTS = (1, 4)
 

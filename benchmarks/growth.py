@@ -20,8 +20,8 @@ from stored import seconds, store
 from threadpoolctl import threadpool_limits
 
 from inflate_lib import build_mesh, inflate, label_image, load_sevens
-from inflate_lib.inflation import PRESSURE
-from inflate_lib.structures import VOID, WALL
+from inflate_lib.mechanics.inflation import PRESSURE
+from inflate_lib.structures.labels import THICKNESS, VOID
 
 SCALES = (1, 2, 4, 8)
 
@@ -29,8 +29,8 @@ SCALES = (1, 2, 4, 8)
 def scaled_label(label, scale):
     """The structure on `scale` times as many pixels a side, its wall as many pixels thick as before."""
     void = np.kron(label == VOID, np.ones((scale, scale), dtype=bool))
-    void = np.roll(void, WALL * (scale - 1), axis=0)  # down, so that the thinner wall stands on the bottom row
-    wall = ndimage.maximum_filter(void, size=2 * WALL + 1, mode="constant")
+    void = np.roll(void, THICKNESS * (scale - 1), axis=0)  # down, so that the thinner wall stands on the bottom row
+    wall = ndimage.maximum_filter(void, size=2 * THICKNESS + 1, mode="constant")
     return np.where(void, 1.0, np.where(wall, 0.5, 0.0))
 
 

@@ -20,19 +20,21 @@ import pandas as pd
 import xarray as xr
 from stored import store
 
-from inflate_lib import datasets, generation
-from inflate_lib.ablation import evaluate_variant
-from inflate_lib.cache import cached, digest
-from inflate_lib.calibration import Calibration
-from inflate_lib.datasets import simulated_sevens
+from inflate_lib._cache import cached, digest
+from inflate_lib.alternatives.ablation import evaluate_variant
+from inflate_lib.book.profiles import load_profile
+from inflate_lib.datasets.simulate import simulated_sevens
+from inflate_lib.datasets.split import training_rows
+from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, descriptor_matrix
-from inflate_lib.design_targets import relative_misses
 from inflate_lib.diffusion import TrainedModel, generate
-from inflate_lib.evaluation import bootstrap
-from inflate_lib.generation import held_out_targets, judge, model_digest, training_rows
-from inflate_lib.inverse_design import MODELS
+from inflate_lib.experiments import run
+from inflate_lib.experiments.metrics import bootstrap
+from inflate_lib.experiments.run import held_out_targets, judge, model_digest
+from inflate_lib.inverse.search import MODELS
+from inflate_lib.inverse.targets import relative_misses
+from inflate_lib.models.calibration import Calibration
 from inflate_lib.paths import PRETRAINED
-from inflate_lib.profiles import load_profile
 
 TOGETHER = (
     ("height", "width"),
@@ -132,14 +134,14 @@ class Study:
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")  # calibrated ones may
                 images = generate(model, piece, seed=seed, start=start, **sampling)
-            datasets.save_dataset(judge(images, JOINT, piece, n_jobs=1), target)
+            save_dataset(judge(images, JOINT, piece, n_jobs=1), target)
 
         pieces = []
         for start in range(0, len(told), PIECE):
             piece = told[start : start + PIECE]
             key = {"model": model_digest(model), "told": digest(piece), "sampling": sampling, "seed": seed}
-            key |= {"start": start, "code": generation.code()}
-            pieces.append(datasets.load_dataset(cached("joint", key, make, ".nc")))
+            key |= {"start": start, "code": run.code()}
+            pieces.append(load_dataset(cached("joint", key, make, ".nc")))
         return xr.concat(pieces, "structure", data_vars="minimal", combine_attrs="drop_conflicts")
 
     def measured(self, worst):

@@ -16,16 +16,16 @@ from pathlib import Path
 import pandas as pd
 
 from inflate_lib import build_mesh, describe, inflate, label_image, paths
-from inflate_lib.cache import cached, code_version, digest
-from inflate_lib.publishing import package_versions
-from inflate_lib.sources import load_sevens
-from inflate_lib.verification import point_joints
+from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._provenance import package_versions
+from inflate_lib.structures.labels import point_joints
+from inflate_lib.structures.sources import load_sevens
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "helpers"))
 import mechanics_peers
 from mechanics_peers import GRADING, graded_mesh, inflate_with_felupe
 
-STEPS = ("structures", "mesh", "sparse", "material", "inflation", "descriptors")  # modules that a row depends on
+STEPS = ("structures", "mechanics", "descriptors")  # what a row depends on
 REFINEMENTS = {"mean-dilatation": (1, 2, 4, 8), "q1": (1, 2, 4, 8), "q2": (1, 2, 4, 6, 8)}
 N_WHOLE = 3  # the first sevens without a joint of one node; and the first with one, for which there is no truth
 

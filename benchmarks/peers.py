@@ -24,10 +24,10 @@ from scipy.sparse import coo_array, csr_array, dia_array
 from scipy.sparse.linalg import splu, spsolve
 from skfem.helpers import det, dot, eye, grad, inv, mul, transpose
 
-from inflate_lib.inflation import PRESSURE
-from inflate_lib.material import LAMBDA, MU
+from inflate_lib.mechanics.inflation import PRESSURE
+from inflate_lib.mechanics.material import LAMBDA, MU
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "helpers"))
 from mechanics_peers import felupe_system
 
 MOVE = 0.03  # largest nodal move of a tuned Newton step; with a larger one some diverge, a smaller one is slower

@@ -19,7 +19,10 @@ from joblib.externals.loky import get_reusable_executor
 from stored import store
 from threadpoolctl import threadpool_limits
 
-from inflate_lib import contact, datasets, descriptors, inflation, simulate_dataset, sources, structures
+from inflate_lib import descriptors, simulate_dataset
+from inflate_lib.datasets import simulate
+from inflate_lib.mechanics import contact, inflation
+from inflate_lib.structures import labels, sources
 
 CORES = 2
 WHOLE = {10: 60, 1: 35}  # load steps → seconds in which all sevens are to be done on two cores
@@ -27,7 +30,7 @@ WHOLE = {10: 60, 1: 35}  # load steps → seconds in which all sevens are to be 
 
 def bare_loop(images, n_steps):
     for image in images:
-        result = inflation.inflate(structures.label_image(image), n_steps=n_steps)
+        result = inflation.inflate(labels.label_image(image), n_steps=n_steps)
         descriptors.describe(result)
         if contact.first_contact(result) is not None:
             contact.self_contact(result)
@@ -35,7 +38,7 @@ def bare_loop(images, n_steps):
 
 def nominal_second(images):
     """Seconds that the inflations take here for each second that a time limit counts for them."""
-    labels = [structures.label_image(image) for image in images]
+    labels = [labels.label_image(image) for image in images]
     start = time.perf_counter()
     results = [inflation.inflate(label) for label in labels]
     taken, counted = time.perf_counter() - start, 0.0
@@ -114,6 +117,6 @@ def main(
 
 
 if __name__ == "__main__":
-    datasets.ALONE = 0  # share out even a short benchmark
+    simulate.ALONE = 0  # share out even a short benchmark
     with threadpool_limits(1):  # one core for everybody
         typer.run(main)

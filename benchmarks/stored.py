@@ -12,9 +12,10 @@ from types import ModuleType
 from rich.console import Console
 from rich.table import Table
 
-from inflate_lib import inflation, mesh, paths, structures
-from inflate_lib.cache import code_version
-from inflate_lib.publishing import package_versions
+from inflate_lib import paths
+from inflate_lib._cache import code_version
+from inflate_lib._provenance import package_versions
+from inflate_lib.mechanics import inflation
 
 PEERS = ("felupe", "scikit-fem")
 #: inflation.py and the modules that it takes from the package
@@ -60,6 +61,6 @@ def store(frame, name, made_by, **note):
         "date": date.today().isoformat(),
         "python": platform.python_version(),
         "packages": package_versions() | {package: version(package) for package in PEERS},
-        "code_version": code_version(structures, mesh, *SOLVER),
+        "code_version": code_version("inflate_lib.structures", "inflate_lib.mechanics"),
     }
     (paths.REFERENCE / f"{name}.json").write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")

@@ -13,10 +13,10 @@ import stored
 import typer
 
 from inflate_lib import paths
-from inflate_lib.datasets import simulated_sevens
+from inflate_lib.book.profiles import load_profile
+from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS
-from inflate_lib.experiments import training_cost
-from inflate_lib.profiles import load_profile
+from inflate_lib.models.train import training_cost
 
 TIMED = {"paper": ["height"], "laptop": DESCRIPTORS}  # of the five of paper, one stands for all
 

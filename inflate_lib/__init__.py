@@ -1,33 +1,35 @@
 """Inverse design of inflatable structures: images → structures → inflation → descriptors → diffusion.
 
-The public names below are imported on first use (PEP 562), so that ``import inflate_lib`` is instant and
-``import inflate_lib.diffusion`` needs PyTorch, NumPy and safetensors only.
+The packages follow the paper, and imports run down this list alone (``make lint`` checks it)::
+
+    structures    images, labels, flips and shifts           (Figs. 2, 4)
+    mechanics     mesh, inflation, stress, contact           (sec. 3)
+    descriptors   height, width, box, hull area, axis        (sec. 3.1, Fig. 3)
+    datasets      simulate, store, split, pair               (secs. 3, 3.2)
+    diffusion     schedule, U-Net, training, sampling        (secs. 2, 4.1)
+    models        trained weights, and how to ask them       (sec. 4.1)
+    experiments   targets → structures → what they reach     (secs. 2.3, 4)
+    alternatives, plotting, io, inverse                      beyond the paper
+    book, cli                                                how it is shown
+
+The names below are imported on first use, so that ``import inflate_lib`` is instant and ``import inflate_lib.diffusion``
+needs PyTorch, NumPy and safetensors only.
 """
 
-from importlib import import_module
+from inflate_lib._lazy import attach
 
 __version__ = "0.1.0"
 
-_PUBLIC = {
-    "label_image": "structures",
-    "load_sevens": "sources",
-    "build_mesh": "mesh",
-    "inflate": "inflation",
-    "describe": "descriptors",
-    "self_contact": "contact",
-    "simulate_dataset": "datasets",
-    "simulated_sevens": "datasets",
-    "design": "inverse_design",
-}
-
-__all__ = sorted(_PUBLIC)
-
-
-def __getattr__(name):
-    if name in _PUBLIC:
-        return getattr(import_module(f"inflate_lib.{_PUBLIC[name]}"), name)
-    raise AttributeError(f"module 'inflate_lib' has no attribute {name!r}")
-
-
-def __dir__():
-    return sorted([*globals(), *_PUBLIC])
+__getattr__, __dir__, __all__ = attach(
+    __name__,
+    {
+        "structures.sources": ["load_sevens"],
+        "structures.labels": ["label_image"],
+        "mechanics.mesh": ["build_mesh"],
+        "mechanics.inflation": ["inflate"],
+        "mechanics.contact": ["self_contact"],
+        "descriptors": ["describe"],
+        "datasets.simulate": ["simulate_dataset", "simulated_sevens"],
+        "inverse.search": ["design"],
+    },
+)

@@ -1,7 +1,7 @@
 """Descriptors of a deformed structure (paper sec. 3.1, Fig. 3): height, width, bounding box, hull area, medial axis.
 
 Beside these five there are two physical ones, which the paper leaves to future work (sec. 5): the peak von Mises stress
-and the largest principal stretch, see :func:`inflate_lib.stress.peaks`.
+and the largest principal stretch, see :func:`inflate_lib.mechanics.stress.peaks`.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from inflate_lib.stress import peaks
+from inflate_lib.mechanics.stress import peaks
 
 AXIS_POINTS = 30
 
@@ -51,7 +51,7 @@ class Descriptors:
         moved so that the first is the origin.
     peak_stress, peak_stretch : float
         Largest von Mises stress, in the units of λ and μ, and largest principal stretch of any element, the mean over
-        its Gauss points (:func:`inflate_lib.stress.peaks`); NaN for a shape that is known by its nodes alone.
+        its Gauss points (:func:`inflate_lib.mechanics.stress.peaks`); NaN for a shape that is known by its nodes alone.
     """
 
     height: float

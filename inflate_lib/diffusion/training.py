@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inflate_lib.diffusion import process, ranks, storage
+from inflate_lib.diffusion import _ranks, _storage, process
+from inflate_lib.diffusion._logs import Log, Progress
 from inflate_lib.diffusion.config import TrainingConfig
-from inflate_lib.diffusion.logs import Log, Progress
 from inflate_lib.diffusion.model import TrainedModel
 from inflate_lib.diffusion.schedule import at, cosine_schedule
 
@@ -51,7 +51,7 @@ def train(
 ) -> TrainedModel:
     """Train a denoiser on pairs of structure and descriptor.
 
-    Under ``torchrun``, after ``ranks.start()``, all processes call this with the same pairs and share each batch.
+    Under ``torchrun``, after ``_ranks.start()``, all processes call this with the same pairs and share each batch.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def train(
     torch.set_num_threads(threads or threads_before)
     try:
         run = _Run(images, conditions, config, folder)
-        first = ranks.rank() == 0
+        first = _ranks.rank() == 0
         run.train(Progress(progress if first else False, run), Log(Path(log), run.step) if log and first else None)
         return run.model()
     finally:
@@ -184,14 +184,14 @@ class _Run:
         scaled = TrainedModel(self.net, config, self.low, self.high).scaled(conditions)
         self.conditions = torch.from_numpy(scaled).to(self.device, torch.float32)
         # Tells this run's checkpoint from that of another data set or configuration.
-        data = storage.fingerprint(images, conditions)
+        data = _storage.fingerprint(images, conditions)
         self.identity = {"config": config.recipe(), "data": data}
-        if self.path is not None and ranks.rank() == 0:
-            storage.sweep(self.path)
+        if self.path is not None and _ranks.rank() == 0:
+            _storage.sweep(self.path)
             if self.path.exists():
                 self.restore()
-        ranks.copy(list(self.state().values()), self.device)
-        self.step, self.history = ranks.share((self.step, self.history))
+        _ranks.copy(list(self.state().values()), self.device)
+        self.step, self.history = _ranks.share((self.step, self.history))
 
     def state(self) -> dict[str, Tensor]:
         """Every tensor that a step changes, by its name in the checkpoint."""
@@ -220,7 +220,7 @@ class _Run:
                 if log is not None:
                     log.add(**{name: values[-1] for name, values in self.history.items()}, seconds=self.seconds)
             report(done)
-            if checkpoint and self.path is not None and ranks.rank() == 0:
+            if checkpoint and self.path is not None and _ranks.rank() == 0:
                 self.save()
 
     def advance(self, rows: Tensor) -> None:
@@ -237,7 +237,7 @@ class _Run:
             withheld = torch.rand((n, len(config.parts)), generator=generator) < 0.5
             withheld = withheld.repeat_interleave(torch.tensor(config.parts), dim=1)
             y = y.masked_fill(withheld.to(self.device), math.nan)
-        mine = slice(ranks.rank(), None, ranks.world())
+        mine = slice(_ranks.rank(), None, _ranks.world())
         rows, y, t, dropped, noise = rows[mine], y[mine], t[mine], dropped[mine], noise[mine]
 
         for group in self.optimiser.param_groups:
@@ -248,7 +248,7 @@ class _Run:
             losses = self.losses(self.there(rows), y, t, self.there(dropped), self.there(noise)) / n
             losses[0].backward()
             losses = losses.detach()
-        ranks.add_up([*(p.grad for p in self.net.parameters()), losses])
+        _ranks.add_up([*(p.grad for p in self.net.parameters()), losses])
         self.optimiser.step()
         with torch.no_grad():
             self.sums += losses
@@ -301,14 +301,14 @@ class _Run:
             raise self.lost(f"the weights are no longer finite after step {self.step}")
         content = self.identity | {"step": self.step, "history": self.history, "seconds": self.seconds}
         try:
-            storage.write(self.path, "checkpoint", tensors, content)
+            _storage.write(self.path, "checkpoint", tensors, content)
         except OSError as error:
             kept = "the checkpoint before it is kept" if self.path.exists() else "there is no checkpoint yet"
             raise OSError(error.errno, f"{error.strerror} at step {self.step} ({kept})", str(self.path)) from error
 
     def restore(self) -> None:
         try:
-            tensors, content = storage.read(self.path, "checkpoint")
+            tensors, content = _storage.read(self.path, "checkpoint")
         except ValueError as error:
             raise ValueError(f"{error}; delete the file to start over") from None
         if {name: content[name] for name in self.identity} != self.identity:
@@ -316,7 +316,7 @@ class _Run:
                 f"{self.path} belongs to a run with another configuration or other data; "
                 "choose another folder, or delete the file to start over"
             )
-        storage.fill(self.state(), tensors, self.path)
+        _storage.fill(self.state(), tensors, self.path)
         self.step, self.history, self.seconds = (content[name] for name in ("step", "history", "seconds"))
 
     def model(self) -> TrainedModel:

@@ -6,8 +6,8 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 from scipy.spatial import ConvexHull
 
-from inflate_lib import stress
-from inflate_lib.export import QUANTITIES
+from inflate_lib.mechanics import stress
+from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.plotting.mechanics import STRETCH_MAP
 from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label, place_axis
 from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure, picture_axes
@@ -21,7 +21,7 @@ def plot_designs(designs, columns=6, colour=None):
 
     Parameters
     ----------
-    designs : inflate_lib.inverse_design.Designs
+    designs : inflate_lib.inverse.search.Designs
     columns : int
     colour : {"von-mises", "stretch"}, optional
         What the inflated structures are coloured by, on one scale; they are blue without.

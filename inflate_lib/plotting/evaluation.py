@@ -3,7 +3,7 @@
 import numpy as np
 
 from inflate_lib.descriptors import descriptor_matrix
-from inflate_lib.evaluation import errors
+from inflate_lib.experiments.metrics import errors
 from inflate_lib.plotting.style import COLOURS, figure, picture_axes
 
 STYLES = {
@@ -116,7 +116,7 @@ def plot_selection(tables):
     Parameters
     ----------
     tables : Mapping
-        Descriptor → table of :func:`inflate_lib.selection.selection`. Solid marks: ranked by simulation; hollow:
+        Descriptor → table of :func:`inflate_lib.alternatives.best_of.selection`. Solid marks: ranked by simulation; hollow:
         by the surrogate.
     """
     scalars = {name: table for name, table in tables.items() if name != "axis"}

@@ -6,7 +6,7 @@ import seaborn as sns
 from matplotlib.patches import Rectangle
 
 from inflate_lib.descriptors import describe, descriptor_matrix
-from inflate_lib.inflation import inflate
+from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label
 from inflate_lib.plotting.style import COLOURS, LEVELS, TEXT_WIDTH, figure, picture_axes
 
@@ -21,7 +21,7 @@ def plot_generated(experiment, descriptor, n_show=5):
     Parameters
     ----------
     experiment : xarray.Dataset
-        From :func:`inflate_lib.experiments.run_experiment`.
+        From :func:`inflate_lib.models.train.run_experiment`.
     descriptor : {"height", "width", "box", "area"}
     n_show : int
 

@@ -209,7 +209,7 @@ def plot_variant_counts(allowed, drawn):
 def plot_clusters(matrices, clusters):
     """Fig. 6: the k-means clusters of height, width, bounding box and hull area, with their centroids.
 
-    ``matrices`` and ``clusters`` map the descriptors' names to arrays (n, N) and to `inflate_lib.targets.Clusters`.
+    ``matrices`` and ``clusters`` map the descriptors' names to arrays (n, N) and to `inflate_lib.experiments.targets.Clusters`.
     The outermost two structures in a thousand lie beyond the limits of the panels.
     """
     labels = {"height": "height $h$", "width": "width $w$", "box": "width $w$", "area": "hull area $A$"}

@@ -1,0 +1,127 @@
+"""What matters? The same targets, asked again with one thing changed: in sampling, or in training.
+
+Sampling is varied with a trained model at hand. Training is varied by training again, for a small budget: that is what
+``benchmarks/ablation.py`` does once, for the table that the book shows.
+"""
+
+import warnings
+from contextlib import suppress
+
+import pandas as pd
+
+from inflate_lib.diffusion import TrainingConfig
+from inflate_lib.experiments.calibrate import calibrate
+from inflate_lib.experiments.run import run_experiment
+from inflate_lib.experiments.tables import scores
+
+GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
+N_CALIBRATION = 150  # structures drawn to calibrate a model
+FAST = (10, 20, 50)  # steps of the fast samplers
+SIZES = (600, 2000)  # structures, besides all
+MEASURES = {"R²": "R²", "median error": "median error / target", "valid": "valid"}
+PAPER = {
+    "objective": "epsilon",
+    "timestep_draws": 1,
+    "ema_decay": 0.0,
+    "learning_rate": 1.0e-4,
+    "learning_rate_decay": "constant",
+    "warmup_steps": 0,
+}
+
+
+def sampling_variants(sampling):
+    """Ways of sampling, (group, name) → options of :func:`inflate_lib.diffusion.generate`."""
+    variants = {("guidance", f"w = {w:g}"): {**sampling, "guidance": w} for w in GUIDANCE}
+    variants["sampler", "ancestral, all steps"] = {**sampling, "sampler": "ancestral"}
+    for sampler, name in (("ddim", "DDIM"), ("dpm-solver++", "DPM-Solver++")):
+        for steps in FAST:
+            variants["sampler", f"{name}, {steps} steps"] = {**sampling, "sampler": sampler, "steps": steps}
+    return variants
+
+
+def training_variants(training):
+    """Ways of training, (group, name) → (options of ``TrainingConfig``, number of structures; None: all)."""
+    plain = TrainingConfig.from_dict(training)
+    changes = {("recipe", "of this profile"): {}}
+    if plain.ema_decay > 0:
+        changes["recipe", "without EMA"] = {"ema_decay": 0.0}
+    if plain.objective == "v":
+        changes["recipe", "ε-prediction"] = {"objective": "epsilon"}
+    else:
+        changes["recipe", "v-prediction"] = {"objective": "v"}
+    if plain.vlb_weight > 0:
+        changes["recipe", "without the VLB term"] = {"vlb_weight": 0.0}
+    if plain.timestep_draws > 1:
+        changes["recipe", "t drawn uniformly"] = {"timestep_draws": 1}
+    if plain.min_snr == 0:
+        changes["recipe", "min-SNR weighting, γ = 5"] = {"min_snr": 5.0}
+    changes["recipe", "paper's loss and optimiser"] = PAPER
+    # What the paper leaves open.
+    other = "add" if plain.conditioning == "scale-shift" else "scale-shift"
+    changes["network", f"context enters by {other}"] = {"conditioning": other}
+    changes["network", "attention at 7 × 7"] = {"attention": True}
+    changes["network", "two residual blocks per scale"] = {"blocks": 2}
+    variants = {names: ({**training, **change}, None) for names, change in changes.items()}
+    for n in SIZES:
+        variants["data", f"{n} structures"] = (training, n)
+    return variants
+
+
+def sampling_ablation(model, descriptor, data, targets, sampling, seed=0, n_calibration=0):
+    """The same targets, sampled in every way of :func:`sampling_variants`.
+
+    With `n_calibration` structures each way is calibrated by itself, and a last row is `sampling` without calibration.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row per way: group, variant, and of each measure the value with low and high, the ends of its interval.
+    """
+    rows = []
+    for (group, name), options in sampling_variants(sampling).items():
+        measured = evaluate_variant(model, descriptor, data, targets, options, seed, n_calibration=n_calibration)
+        rows.append({"group": group, "variant": name} | measured)
+    if n_calibration:
+        measured = evaluate_variant(model, descriptor, data, targets, sampling, seed, n_calibration=0)
+        rows.append({"group": "calibration", "variant": "none"} | measured)
+    return pd.DataFrame(rows)
+
+
+def evaluate_variant(model, descriptor, data, targets, sampling, seed=0, n_jobs=-1, n_calibration=N_CALIBRATION):
+    """Measures of one model on given targets; those outside the range that it was trained on count as well.
+
+    The targets are calibrated (:mod:`inflate_lib.models.calibration`), unless the model does not listen enough for that, or
+    `n_calibration` is 0.
+    """
+    calibration = None
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* lie outside the (training data|range of the training data)")
+        if n_calibration:
+            with suppress(ValueError):
+                calibration = calibrate(model, descriptor, data, sampling, seed, n_calibration, n_jobs)
+        experiment = run_experiment(model, descriptor, targets, 1, sampling, seed, n_jobs, True, calibration)
+    return measures(experiment, descriptor, data, seed)
+
+
+def measures(experiment, descriptor, data, seed=0):
+    """R², median error and share of valid structures, each with low and high, as a flat dict."""
+    table = scores(experiment, descriptor, data, seed=seed).set_index("measure")
+    row = {}
+    for name, measure in MEASURES.items():
+        if descriptor == "axis" and name == "median error":
+            measure = "median point distance"
+        value = table.loc[measure]
+        row |= {name: value["value"], f"{name} low": value["low"], f"{name} high": value["high"]}
+    return row
+
+
+def over_seeds(runs):
+    """Runs of ``benchmarks/ablation.py``, one row per run → one per variant: mean over the seeds, lowest, highest."""
+    rows = []
+    for (group, name), part in runs.groupby(["group", "variant"], sort=False):
+        row = {"group": group, "variant": name, "seeds": len(part)}
+        for measure in MEASURES:
+            row |= {measure: part[measure].mean(), f"{measure} low": part[measure].min()}
+            row[f"{measure} high"] = part[measure].max()
+        rows.append(row)
+    return pd.DataFrame(rows)

@@ -1,0 +1,205 @@
+"""A conditional variational autoencoder as large as the diffusion model beside which it stands, and as long trained.
+
+It answers the same targets and is judged by the same pipeline.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from inflate_lib._cache import cached, code_version, digest
+from inflate_lib.alternatives import _learning
+from inflate_lib.datasets.pairs import training_pairs
+from inflate_lib.datasets.split import training_rows
+from inflate_lib.datasets.storage import load_dataset, save_dataset
+from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.diffusion import _storage
+from inflate_lib.diffusion.training import random_generator
+from inflate_lib.experiments.run import check_targets, code, judge
+from inflate_lib.models.calibration import Calibration
+
+LATENT = 4  # numbers that the autoencoder describes an image by, besides the descriptor
+FINER = (16, 32)  # channels on 28 and on 14 pixels a side
+KL_WEIGHT = 3.0  # β of Higgins et al. (2017): the more it weighs, the less of the descriptor is told by z instead
+TOLD = 16  # width of what it makes of the descriptor
+
+
+class Autoencoder(nn.Module):
+    """Conditional variational autoencoder (Sohn et al. 2015) of images (28, 28), told the descriptor at both ends.
+
+    Parameters
+    ----------
+    n_conditions : int
+        Length N of the descriptor.
+    width : int
+        Channels on the coarsest grid, 7 pixels a side, where numbers to be learned cost the least arithmetic.
+    """
+
+    def __init__(self, n_conditions: int, width: int):
+        super().__init__()
+        a, b, c = *FINER, width
+        self.deepest = c
+        self.told = nn.Sequential(nn.Linear(n_conditions, 64), nn.SiLU(), nn.Linear(64, TOLD), nn.SiLU())
+        self.encoder = nn.Sequential(*_layer(1, a), *_layer(a, b, stride=2), *_layer(b, c, stride=2), nn.Flatten())
+        self.posterior = nn.Linear(49 * c + TOLD, 2 * LATENT)
+        self.unfold = nn.Linear(LATENT + TOLD, 49 * c)
+        up = nn.Upsample(scale_factor=2)
+        self.decoder = nn.Sequential(*_layer(c, b), up, *_layer(b, a), up, nn.Conv2d(a, 1, 3, padding=1))
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of trainable numbers."""
+        return sum(p.numel() for p in self.parameters())
+
+    def encode(self, images: Tensor, conditions: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log variance (n, LATENT) of q(z | x, y)."""
+        told = self.told(conditions)
+        return self.posterior(torch.cat([self.encoder(images[:, None]), told], dim=1)).chunk(2, dim=1)
+
+    def decode(self, z: Tensor, conditions: Tensor) -> Tensor:
+        """Mean image (n, 28, 28) in [0, 1] of p(x | z, y)."""
+        h = self.unfold(torch.cat([z, self.told(conditions)], dim=1)).reshape(-1, self.deepest, 7, 7)
+        return self.decoder(h)[:, 0].sigmoid()
+
+
+def kl_to_standard_normal(mean: Tensor, log_variance: Tensor) -> Tensor:
+    """KL(N(mean, e^log_variance) ‖ N(0, 1)), summed over the last dimension, in nats."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=-1)
+
+
+def reconstruction_nll(images: Tensor, decoded: Tensor) -> Tensor:
+    """−log p(x | z) per image, in nats, of pixels that are bright with the decoded probability.
+
+    A grey pixel counts as bright in that share of the cases. A Gaussian whose variance fits the batch best (Rybkin et
+    al. 2021) pays so well for sharp pixels that z comes to tell everything, height included, and the decoder no longer
+    listens to the descriptor.
+    """
+    return nn.functional.binary_cross_entropy(decoded, images, reduction="none").flatten(1).sum(dim=1)
+
+
+@dataclass
+class TrainedAutoencoder:
+    """A trained autoencoder; ``condition_min`` and ``condition_max`` (N,) are the range of the training descriptors."""
+
+    net: Autoencoder
+    condition_min: np.ndarray
+    condition_max: np.ndarray
+    images_seen: int
+    seconds: float
+
+    def scaled(self, conditions):
+        """Descriptors (n, N), min–max scaled as in training, float32."""
+        extent = self.condition_max - self.condition_min
+        return torch.from_numpy((conditions - self.condition_min) / np.where(extent > 0, extent, 1)).float()
+
+    def generate(self, conditions, seed=0):
+        """Images (n, 28, 28) for descriptors (n, N): decoded from z ~ N(0, 1). Image i depends on seed and i."""
+        z = torch.stack([torch.randn(LATENT, generator=random_generator(seed, 6, i)) for i in range(len(conditions))])
+        with torch.inference_mode():
+            return self.net.decode(z, self.scaled(np.asarray(conditions, dtype=float))).numpy()
+
+
+def train_autoencoder(data, descriptor, like, n_augmented, seed=0):
+    """Train the autoencoder that stands beside a diffusion model, or find it trained in the cache.
+
+    It has as many parameters (the nearest width), sees as many images of the same pairs, in batches of the same
+    size.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Simulated structures.
+    descriptor : str
+    like : TrainedModel
+    n_augmented, seed : int
+        See :func:`inflate_lib.datasets.pairs.training_pairs`.
+
+    Returns
+    -------
+    TrainedAutoencoder
+    """
+    images, conditions = training_pairs(data, descriptor, n_augmented, seed)
+    low, high = conditions.min(axis=0), conditions.max(axis=0)
+    steps, batch_size = like.config.training_steps(len(images)), like.config.batch_size
+    width = nearest_width(conditions.shape[1], like.net.n_parameters)
+    net = _learning.initialised(lambda: Autoencoder(conditions.shape[1], width), seed)
+    trained = TrainedAutoencoder(net, low, high, steps * batch_size, 0.0)
+
+    def make(target, scratch):
+        x, y = torch.from_numpy(images).float() / 255, trained.scaled(conditions)
+
+        def loss(rows, generator):
+            mean, log_variance = net.encode(x[rows], y[rows])
+            z = mean + (log_variance / 2).exp() * torch.randn(mean.shape, generator=generator)
+            told = KL_WEIGHT * kl_to_standard_normal(mean, log_variance)
+            return (reconstruction_nll(x[rows], net.decode(z, y[rows])) + told).mean() / x[0].numel()
+
+        what = f"training the autoencoder ({descriptor})"
+        history, seconds = _learning.fit(net, loss, len(x), steps, batch_size, 2e-3, seed, scratch, what)
+        _storage.write(target, "autoencoder", net.state_dict(), {"history": history, "seconds": seconds})
+
+    key = {
+        "pairs": digest(images, conditions),
+        "width": width,
+        "steps": steps,
+        "batch_size": batch_size,
+        "seed": seed,
+        "code": code_version(_learning, __name__),
+    }
+    path = cached("autoencoder", key, make, ".safetensors")
+    tensors, content = _storage.read(path, "autoencoder")
+    _storage.fill(net.state_dict(), tensors, path)
+    net.eval()
+    trained.seconds = content["seconds"]
+    return trained
+
+
+def nearest_width(n_conditions, n_parameters):
+    """Width whose autoencoder has the number of parameters nearest to a given one."""
+    one, two = _count(n_conditions, 1), _count(n_conditions, 2)  # the number is linear in the width
+    return max(1, 1 + round((n_parameters - one) / (two - one)))
+
+
+def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1, calibration=None):
+    """Structures that an autoencoder draws for targets (k, N), one each, as :func:`.experiments.run.run_experiment` does."""
+    targets = check_targets(model, descriptor, targets)
+    told = targets if calibration is None else calibration.told(targets)
+
+    def make(target, scratch):
+        data = judge(model.generate(told, seed), descriptor, targets, n_jobs=n_jobs, folder=scratch)
+        save_dataset(data, target)
+
+    weights = [value.numpy() for _, value in sorted(model.net.state_dict().items())]
+    key = {
+        "descriptor": descriptor,
+        "model": digest(*weights, model.condition_min, model.condition_max),
+        "targets": digest(targets, told),
+        "seed": seed,
+        "code": [code(), code_version(__name__)],
+    }
+    return load_dataset(cached("experiment", key, make, ".nc"))
+
+
+def calibrate_autoencoder(model, descriptor, data, seed=0, n=200, n_jobs=-1):
+    """Measure how an autoencoder answers (:mod:`inflate_lib.models.calibration`); None where n is 0 or it hardly listens."""
+    if n == 0:
+        return None
+    known = descriptor_matrix(data, descriptor)[training_rows(data)]
+    targets = known[np.random.default_rng([seed, 5]).permutation(len(known))[:n]]
+    answer = run_autoencoder(model, descriptor, targets, seed + 1_000_003, n_jobs)
+    valid = answer["valid"].values
+    try:
+        return Calibration.fit(targets[valid], descriptor_matrix(answer, descriptor)[valid])
+    except ValueError:
+        return None
+
+
+def _count(n_conditions, width):
+    with torch.device("meta"):
+        return Autoencoder(n_conditions, width).n_parameters
+
+
+def _layer(inputs, outputs, stride=1):
+    return nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1), nn.GroupNorm(1, outputs), nn.SiLU()

@@ -1,0 +1,28 @@
+"""Chance and retrieval: structures that exist, taken from those that the model was trained on.
+
+Retrieval is as exact as the data are dense, but never new."""
+
+import numpy as np
+from sklearn.neighbors import NearestNeighbors
+
+from inflate_lib.datasets.split import training_rows
+from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.experiments.run import as_experiment
+
+
+def random_structures(data, descriptor, targets, seed=0):
+    """A real structure for each target, whatever the target, as an experiment (:func:`.experiments.run.as_experiment`)."""
+    rows = np.random.default_rng(seed).choice(training_rows(data), len(targets))
+    return as_experiment(data.isel(structure=rows), descriptor, np.asarray(targets))
+
+
+def retrieved_structures(data, descriptor, targets):
+    """The real structure whose descriptor is nearest to each target, as an experiment.
+
+    Nearest in units of the standard deviation of each component; of axes, in plain distance.
+    """
+    rows, targets = training_rows(data), np.asarray(targets)
+    matrix = descriptor_matrix(data, descriptor)[rows]
+    scale = matrix.std(axis=0) if matrix.shape[1] <= 2 else 1.0
+    found = NearestNeighbors(n_neighbors=1).fit(matrix / scale).kneighbors(targets / scale, return_distance=False)
+    return as_experiment(data.isel(structure=rows[found[:, 0]]), descriptor, targets)

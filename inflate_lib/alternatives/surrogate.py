@@ -1,0 +1,155 @@
+"""A surrogate of the simulation: a small convolutional network that sees a structure and says how it will inflate.
+
+The paper leaves this to future work (sec. 5). The network sees the label image, moved to the middle, so that it need
+not learn that a shift changes nothing, and answers with all descriptors at once. It is trained on the structures that
+the diffusion models are trained on, and their mirror images, and tested on those that are held out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from inflate_lib._cache import cached, code_version, digest
+from inflate_lib.alternatives import _learning
+from inflate_lib.datasets.split import training_rows
+from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.diffusion import _storage
+from inflate_lib.structures.augmentation import mirror_axis
+from inflate_lib.structures.labels import FRAME, label_image
+
+CHANNELS, HIDDEN, BATCH = (8, 16, 32), 128, 64
+#: Columns of the answer that belong to each descriptor.
+COLUMNS = {"height": slice(0, 1), "width": slice(1, 2), "box": slice(0, 2), "area": slice(2, 3), "axis": slice(3, 63)}
+
+
+class Network(nn.Module):
+    """Two convolutions each on 28, 14 and 7 pixels a side, and two dense layers."""
+
+    def __init__(self, outputs: int = 63, channels=CHANNELS, hidden: int = HIDDEN):
+        super().__init__()
+        layers, before = [], 1
+        for number, width in enumerate(channels):
+            stride = 1 if number == 0 else 2
+            layers += [nn.Conv2d(before, width, 3, stride=stride, padding=1), nn.SiLU()]
+            layers += [nn.Conv2d(width, width, 3, padding=1), nn.SiLU()]
+            before = width
+        self.layers = nn.Sequential(
+            *layers, nn.Flatten(), nn.Linear(before * 49, hidden), nn.SiLU(), nn.Linear(hidden, outputs)
+        )
+
+    def forward(self, labels: Tensor) -> Tensor:
+        return self.layers(labels[:, None])
+
+
+@dataclass
+class Surrogate:
+    """A trained network, with the mean and the scale (63,) of what it answers, and the seconds that training took."""
+
+    net: Network
+    mean: np.ndarray
+    scale: np.ndarray
+    seconds: float
+
+    def predict(self, images, descriptor):
+        """Descriptors, (n, N), of the structures in images (n, 28, 28); NaN where an image gives no structure."""
+        labels, usable = _labels(images)
+        return self.predict_labels(labels, descriptor, usable)
+
+    def predict_labels(self, labels, descriptor, usable=None):
+        """The same for label images (n, 28, 28)."""
+        answers = np.full((len(labels), len(self.mean)), np.nan)
+        usable = np.ones(len(labels), dtype=bool) if usable is None else usable
+        with torch.inference_mode():
+            for rows in np.array_split(np.flatnonzero(usable), max(1, len(labels) // 256)):
+                if len(rows):
+                    answers[rows] = self.net(torch.from_numpy(centred(labels[rows]))).numpy() * self.scale + self.mean
+        return answers[:, COLUMNS[descriptor]]
+
+
+def train_surrogate(data, steps=1500, seed=0, rows=None):
+    """Train the surrogate, or find it trained in the cache.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Simulated structures.
+    steps : int
+        Training steps of `BATCH` structures each.
+    seed : int
+        Of the first weights and the batches.
+    rows : (m,) int, optional
+        Structures to train on; by default those that the diffusion models are trained on.
+
+    Returns
+    -------
+    Surrogate
+    """
+    rows = training_rows(data) if rows is None else rows
+    labels, answers = data["label"].values[rows], answer_matrix(data)[rows]
+    mean, scale = answers.mean(axis=0), answers.std(axis=0)
+    scale[3:] = np.sqrt((scale[3:] ** 2).mean())  # points of an axis belong together; the first one never moves
+    net = _learning.initialised(lambda: Network(answers.shape[1]), seed)
+
+    def make(target, scratch):
+        x = torch.from_numpy(centred(np.concatenate([labels, labels[:, :, ::-1]])))
+        y = np.concatenate([answers, mirrored(answers)])
+        y = torch.from_numpy((y - mean) / scale).float()
+
+        def loss(rows, generator):
+            return _loss(net(x[rows]), y[rows])
+
+        history, seconds = _learning.fit(net, loss, len(x), steps, BATCH, 2e-3, seed, scratch, "training the surrogate")
+        _storage.write(target, "surrogate", net.state_dict(), {"history": history, "seconds": seconds})
+
+    key = {
+        "data": digest(labels, answers),
+        "steps": steps,
+        "seed": seed,
+        "code": code_version("inflate_lib.structures", _learning, __name__),
+    }
+    path = cached("surrogate", key, make, ".safetensors")
+    tensors, content = _storage.read(path, "surrogate")
+    _storage.fill(net.state_dict(), tensors, path)
+    return Surrogate(net.eval(), mean, scale, content["seconds"])
+
+
+def answer_matrix(data):
+    """Everything that the surrogate answers: height, width, hull area and the medial axis, (n, 63)."""
+    return np.column_stack([descriptor_matrix(data, name) for name in ("height", "width", "area", "axis")])
+
+
+def mirrored(answers):
+    """The answers for mirrored structures."""
+    flipped = np.array(answers)
+    flipped[:, 3:] = mirror_axis(flipped[:, 3:])
+    return flipped
+
+
+def centred(labels):
+    """Label images moved sideways to the middle of the frame, (n, 28, 28) float32."""
+    labels = np.ascontiguousarray(labels, dtype=np.float32)
+    columns = labels.any(axis=1)
+    first = columns.argmax(axis=1)
+    last = columns.shape[1] - 1 - columns[:, ::-1].argmax(axis=1)
+    shift = (columns.shape[1] - 1 - last - first) // 2
+    source = (np.arange(columns.shape[1]) - shift[:, None]) % columns.shape[1]
+    return np.take_along_axis(labels, source[:, None, :], axis=2)
+
+
+def _loss(answer, wanted):
+    """Mean squared error in which the medial axis counts as much as each scalar."""
+    squares = (answer - wanted).square().mean(dim=0)
+    return squares[:3].sum() + squares[3:].mean() if len(squares) > 3 else squares.sum()
+
+
+def _labels(images):
+    """Label images, and which images give one."""
+    found, usable = np.zeros((len(images), FRAME, FRAME), np.float32), np.ones(len(images), bool)
+    for number, image in enumerate(images):
+        try:
+            found[number] = label_image(image)
+        except ValueError:
+            usable[number] = False
+    return found, usable

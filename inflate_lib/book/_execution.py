@@ -1,0 +1,218 @@
+"""Execute one notebook with papermill, so that either a whole executed notebook comes out or none."""
+
+import contextlib
+import logging
+import os
+import re
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jupytext
+import nbformat
+from jupyter_client.kernelspec import KernelSpec
+from jupyter_client.manager import AsyncKernelManager
+from jupyter_core.utils import ensure_event_loop
+
+with warnings.catch_warnings():  # papermill's optional cloud parts warn on import
+    warnings.simplefilter("ignore")
+    import papermill
+
+from inflate_lib import paths
+from inflate_lib._cache import MARK, RUNNER, writing
+from inflate_lib.book.profiles import declared_parameters
+
+logging.getLogger("papermill").setLevel(logging.CRITICAL)  # what it would say, NotebookFailed says
+_INJECTED = "injected-parameters"  # papermill's tag for the cell that it adds
+
+
+class NotebookFailed(RuntimeError):
+    """A notebook that did not run to its end; the text names the cell and the error."""
+
+
+class Kernels:
+    """The kernels of one run: started with this Python in the repository root, and ended together.
+
+    Parameters
+    ----------
+    environment
+        Variables for the kernels, on top of this process's own.
+    """
+
+    def __init__(self, environment: Mapping[str, str]):
+        plots = {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}  # whatever this process uses
+        self.environment = {**os.environ, **plots, **environment}
+        self.stopped = False
+        self._processes: set[int] = set()
+        self._lock = threading.Lock()
+
+    def manager(self, environment: Mapping[str, str]) -> type[AsyncKernelManager]:
+        """A kernel manager class for nbclient: whatever kernels are registered on the machine, this Python is used."""
+        kernels = self
+
+        class ThisPython(AsyncKernelManager):
+            @property
+            def kernel_spec(self):
+                command = [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=ERROR"]
+                return KernelSpec(argv=command, display_name="Python 3", language="python")
+
+            async def start_kernel(self, **options):
+                if kernels.stopped:
+                    raise NotebookFailed("stopped")
+                options |= {"env": {**kernels.environment, **environment}, "cwd": str(paths.ROOT)}
+                await super().start_kernel(**options)
+                with kernels._lock:
+                    kernels._processes.add(self.provisioner.pid)
+                if kernels.stopped:  # stop() came while this one started
+                    kernels.stop()
+
+        return ThisPython
+
+    def stop(self) -> None:
+        """End every kernel with the workers that it started."""
+        self.stopped = True
+        with self._lock:
+            for process in self._processes:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.killpg(process, signal.SIGKILL)  # a kernel leads its own process group
+            self._processes.clear()
+
+    def __enter__(self) -> "Kernels":
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self.stop()
+
+
+class Listener:
+    """Told how a notebook gets on; the default is silent."""
+
+    def started(self, notebook: str, cells: int) -> None: ...
+    def cell(self, notebook: str, number: int) -> None: ...
+    def text(self, notebook: str, text: str) -> None: ...
+
+
+def execute(
+    source: Path,
+    output: Path,
+    parameters: Mapping[str, Any],
+    kernels: Kernels,
+    listener: Listener,
+    finish: Callable[[nbformat.NotebookNode, Path], None],
+) -> None:
+    """Run the MyST notebook `source` under `parameters` and put the result at `output`.
+
+    ``finish(notebook, manifest)`` completes the executed notebook before it moves into place; the file `manifest` lists
+    what the notebook published. A broken notebook goes to ``book/_build/reports``.
+
+    Raises
+    ------
+    NotebookFailed
+        A cell raised, or the kernel died.
+    """
+    name = source.stem
+    folder = paths.CACHE / "runs"
+    given, running = folder / f"{name}.input.ipynb", folder / f"{name}.running.ipynb"
+    manifest = folder / f"{name}.published.txt"
+    notebook = jupytext.read(source)
+    with writing():
+        folder.mkdir(parents=True, exist_ok=True)
+        manifest.write_text("")
+        nbformat.write(notebook, given)
+    progress = _Progress(name, listener)
+    listener.started(name, sum(cell.cell_type == "code" for cell in notebook.cells))
+    try:
+        executed = papermill.execute_notebook(
+            given,
+            running,
+            parameters=dict(parameters),
+            progress_bar=False,
+            stdout_file=progress,
+            on_cell_start=progress.cell_started,
+            kernel_manager_class=kernels.manager({RUNNER: str(manifest)}),
+            coalesce_streams=True,  # a progress line that rewrites itself leaves its last state only
+        )
+    except papermill.PapermillExecutionError as error:
+        message = strip_colour(f"{error.ename}: {error.evalue}")
+        where = strip_colour("\n".join(error.traceback))
+        raise NotebookFailed(_report(source, running, progress, message, where)) from error
+    except Exception as error:
+        if kernels.stopped:
+            raise NotebookFailed(f"{source.name} was stopped") from error
+        message = "the kernel died: killed, or out of memory" if "DeadKernel" in type(error).__name__ else repr(error)
+        raise NotebookFailed(_report(source, running, progress, message)) from error
+    finally:
+        ensure_event_loop().close()  # papermill leaves this thread's loop open
+    defaults = declared_parameters(source)
+    _tidy(executed, as_shown=all(defaults[k] == v for k, v in parameters.items() if k != "profile"))
+    finish(executed, manifest)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    draft = output.with_name(f".{output.name}.partial")
+    nbformat.write(executed, draft)
+    os.replace(draft, output)
+    for leftover in (given, running, manifest):
+        leftover.unlink(missing_ok=True)
+
+
+class _Progress:
+    """Follows papermill through the cells; also the file that it writes the cells' printed text to."""
+
+    def __init__(self, notebook: str, listener: Listener):
+        self.notebook, self.listener = notebook, listener
+        self.number, self.source = 0, ""
+
+    def cell_started(self, cell: nbformat.NotebookNode, cell_index: int) -> None:
+        self.source = cell.source
+        if cell.cell_type == "code" and _INJECTED not in cell.metadata.get("tags", []):
+            self.number += 1
+            self.listener.cell(self.notebook, self.number)
+
+    def write(self, text: str) -> None:
+        self.listener.text(self.notebook, text.replace(MARK, ""))
+
+    def flush(self) -> None: ...
+
+
+def _report(source: Path, broken: Path, progress: _Progress, message: str, traceback: str = "") -> str:
+    """Keep the broken notebook outside the book; say in which cell what went wrong."""
+    paths.REPORTS.mkdir(parents=True, exist_ok=True)
+    kept = paths.REPORTS / f"{source.stem}.ipynb"
+    if broken.is_file():
+        os.replace(broken, kept)
+    cell = progress.source.rstrip()
+    before, found, _ = source.read_text(encoding="utf-8").partition(cell)
+    line = f", line {before.count(chr(10)) + 1}" if cell and found else ""
+    lines = traceback.splitlines()
+    shown = lines if len(lines) <= 40 else [*lines[:15], "    …", *lines[-24:]]
+    parts = [f"{source.name}, code cell {progress.number}{line}: {message}", "", cell, "", *shown, ""]
+    return "\n".join([*parts, f"The notebook as far as it came: {kept}"])
+
+
+def _tidy(notebook: nbformat.NotebookNode, as_shown: bool) -> None:
+    """Drop paths and times of this machine; hide the injected parameters, or only fold them if not `as_shown`."""
+    notebook.metadata.pop("papermill", None)
+    for cell in notebook.cells:
+        for key in ("papermill", "execution", "lines_to_next_cell"):
+            cell.metadata.pop(key, None)
+        if "outputs" in cell:
+            cell.outputs = [output for output in cell.outputs if _without_progress(output)]
+        if _INJECTED in cell.metadata.get("tags", []):
+            cell.metadata["tags"].append("remove-cell" if as_shown else "hide-input")
+
+
+def _without_progress(output: nbformat.NotebookNode) -> bool:
+    """Take the lines that only told of progress out of an output; whether anything is left of it."""
+    if output.output_type != "stream":
+        return True
+    lines = re.split(r"(?<=[\r\n])", output.text)
+    output.text = "".join(line for line in lines if not line.startswith(MARK))
+    return bool(output.text.strip())
+
+
+def strip_colour(text: str) -> str:
+    """Text without a terminal's colour codes."""
+    return re.sub("\x1b\\[[0-9;]*[A-Za-z]", "", text)

@@ -1,0 +1,78 @@
+"""Build the book from executed notebooks, and from nothing else."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import yaml
+from rich.console import Console
+
+from inflate_lib import paths
+from inflate_lib.book._execution import strip_colour
+from inflate_lib.book.run import RunError, find_notebooks, plan
+
+COMPLAINT = re.compile(r"\b(WARNING|ERROR|CRITICAL|SEVERE)\b")  # as Sphinx marks them
+
+
+def build_book(profile_name: str, console: Console | None = None) -> Path:
+    """Build ``book/_build/html`` with warnings as errors, after a check that every page is fresh under this profile."""
+    console = console or Console()
+    check_book(profile_name)
+    if warned := [line for job in plan(profile_name) for line in warnings_in(job.executed)]:
+        console.print("On stderr, left out of the book:", *warned, sep="\n", markup=False, highlight=False)
+    build = paths.BOOK / "_build"
+    whole = build / "complete"  # without this mark an earlier build broke off, and Sphinx would keep its pages
+    if not whole.is_file():
+        for folder in ("html", ".doctrees", ".jupyter_cache"):
+            shutil.rmtree(build / folder, ignore_errors=True)
+    whole.unlink(missing_ok=True)
+    page = run_jupyter_book("html")
+    whole.write_text(profile_name + "\n")
+    console.print(f"The book: {page}", highlight=False, soft_wrap=True)
+    return page
+
+
+def run_jupyter_book(builder: str) -> Path:
+    """Run one of Jupyter Book's builders, warnings as errors; its first page, ``book/_build/<builder>/index.html``."""
+    command = [sys.executable, "-c", "import sys; from jupyter_book.cli.main import main; sys.exit(main())"]
+    options = ["--builder", builder, "-n", "-W", "--keep-going"]
+    complaints = []
+    with subprocess.Popen(
+        [*command, "build", str(paths.BOOK), *options], stderr=subprocess.PIPE, text=True, errors="replace"
+    ) as build:
+        for line in build.stderr:
+            print(line, end="", file=sys.stderr, flush=True)
+            complaints += [strip_colour(line.strip())] if COMPLAINT.search(line) else []
+    page = paths.BOOK / "_build" / builder / "index.html"
+    if build.returncode or not page.is_file():
+        why = "Jupyter Book reported warnings or errors; each has to go before the book is built:"
+        raise RunError("\n".join([why, *complaints]))
+    return page
+
+
+def check_book(profile_name: str) -> None:
+    """Refuse a book with a missing, stale or other-profile page, or whose contents are not the notebooks there are."""
+    problems = [f"{job.name}: {why}" for job in plan(profile_name) if (why := job.stale())]
+    listed = set(_toc_notebooks())
+    there = {notebook.stem for notebook in find_notebooks()}
+    problems += [f"{name}: in book/_toc.yml, but there is no such notebook" for name in sorted(listed - there)]
+    problems += [f"{name}: not in book/_toc.yml" for name in sorted(there - listed)]
+    if problems:
+        lines = [f"no book under profile {profile_name!r} from these notebooks:", *(f"  {p}" for p in problems)]
+        raise RunError("\n".join([*lines, f"Run: inflate reproduce --profile {profile_name}"]))
+
+
+def warnings_in(executed: Path) -> list[str]:
+    """What an executed notebook wrote to stderr, an entry for each cell that did."""
+    cells = [cell for cell in nbformat.read(executed, as_version=4).cells if cell.cell_type == "code"]
+    texts = ["".join(o.text for o in cell.outputs if o.get("name") == "stderr").strip() for cell in cells]
+    return [f"  {executed.stem}, code cell {n}: {strip_colour(text)}" for n, text in enumerate(texts, 1) if text]
+
+
+def _toc_notebooks() -> list[str]:
+    contents = yaml.safe_load((paths.BOOK / "_toc.yml").read_text(encoding="utf-8"))
+    chapters = [*contents.get("chapters", []), *(c for part in contents.get("parts", []) for c in part["chapters"])]
+    return [Path(c["file"]).name for c in chapters if c.get("file", "").startswith("notebooks/")]

@@ -1,0 +1,260 @@
+"""Reproduce the notebooks under a profile, and build the book from them and from nothing else.
+
+An executed notebook carries the fingerprint of everything that it depends on. It is *fresh* while that is unchanged and
+the files that it published are still there; only notebooks that are not fresh run again.
+"""
+
+import functools
+import json
+import os
+import platform
+import signal
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import nbformat
+from filelock import FileLock, Timeout
+from rich.console import Console
+from rich.table import Table
+
+from inflate_lib import paths
+from inflate_lib._cache import RETRAIN, code_version, digest
+from inflate_lib._provenance import package_versions
+from inflate_lib.book._display import Bars, Lines
+from inflate_lib.book._execution import Kernels, Listener, execute
+from inflate_lib.book.profiles import Profile, check_profile, load_profile
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+#: loky replaces a worker that has grown by 300 MB, as one that trains a second model may, and says so with a warning.
+RESTARTED = "ignore:A worker stopped while some jobs were given to the executor:UserWarning"
+
+
+class RunError(RuntimeError):
+    """A run, or a book, that cannot be made as things are."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One notebook under one profile."""
+
+    source: Path
+    parameters: dict[str, Any]
+    fingerprint: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        return self.source.stem
+
+    @property
+    def executed(self) -> Path:
+        return paths.EXECUTED / f"{self.name}.ipynb"
+
+    def stale(self) -> str:
+        """Why the notebook has to run; empty while its executed version is fresh."""
+        try:
+            notebook = json.loads(self.executed.read_text(encoding="utf-8"))
+            stamp = notebook["metadata"]["inflate"]
+            edited = stamp["cells"] != _content(notebook)
+        except FileNotFoundError:
+            return "not executed yet"
+        except (OSError, ValueError, KeyError, TypeError):
+            return "not a notebook that this command made"
+        before, now = stamp["fingerprint"], self.fingerprint
+        if before.get("profile") != now["profile"]:
+            return f"executed under profile {before.get('profile')}"
+        if changed := [part for part in now if before.get(part) != now[part]]:
+            return f"changed since: {', '.join(changed)}"
+        if edited:
+            return "edited after it was executed"
+        gone = [file for file in stamp["published"] if not (paths.FIGURES / file).is_file()]
+        return f"missing: figures/{gone[0]}" if gone else ""
+
+
+def plan(profile_name: str, only: Sequence[str] = ()) -> list[Job]:
+    """All jobs of a profile, in order, after every check that can be made before anything runs.
+
+    Raises
+    ------
+    ProfileError
+        The profile does not fit its layout or the notebooks.
+    RunError
+        `only` names no notebook, or more than one.
+    """
+    notebooks = find_notebooks()
+    profile = load_profile(profile_name)
+    check_profile(profile, notebooks)
+    chosen = [match for number in only for match in [_match(number, notebooks)]] if only else notebooks
+    shared = _shared_fingerprint()
+    return [_job(profile, notebook, shared) for notebook in sorted(set(chosen))]
+
+
+def find_notebooks() -> list[Path]:
+    """The sources ``NN_name.md``, in order."""
+    notebooks = sorted(paths.NOTEBOOKS.glob("[0-9][0-9]_*.md"))
+    if not notebooks:
+        raise RunError(f"no notebooks NN_name.md in {paths.NOTEBOOKS}; is INFLATE_HOME set to the checkout?")
+    return notebooks
+
+
+def reproduce(
+    profile_name: str, only: Sequence[str] = (), jobs: int = 2, force: bool = False, console: Console | None = None
+) -> None:
+    """Execute every notebook of the profile that is not fresh, several side by side.
+
+    The old version of a notebook that has to run is deleted first, so that a failed run leaves nothing stale behind.
+
+    Raises
+    ------
+    NotebookFailed
+        The first notebook that failed, with its cell and error; running ones are ended.
+    """
+    console = console or Console()
+    if jobs < 1:
+        raise RunError(f"--jobs is {jobs}; at least one notebook has to run")
+    with _only_run():
+        work = plan(profile_name, only)
+        reasons = {job.name: "forced" if force else job.stale() for job in work}
+        todo = [job for job in work if reasons[job.name]]
+        names = {notebook.stem for notebook in find_notebooks()}
+        for old in paths.EXECUTED.glob("*.ipynb"):
+            if old.stem not in names or any(old == job.executed for job in todo):
+                old.unlink()
+        for job in work:
+            console.print(f"{job.name}: {reasons[job.name] or 'fresh'}", highlight=False)
+        seconds = _run(todo, min(jobs, max(1, len(todo))), console)
+    _print_timings(console, profile_name, work, seconds)
+
+
+def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> Job:
+    parameters = profile.parameters(notebook)
+    fingerprint = {
+        "profile": profile.name,
+        "notebook": digest(notebook.read_bytes()),
+        "parameters": digest(json.dumps(parameters, sort_keys=True)),
+        "data source": _resolved(parameters["source"]) if "source" in parameters else None,
+        **shared,
+    }
+    return Job(notebook, parameters, fingerprint)
+
+
+def _shared_fingerprint() -> dict[str, Any]:
+    """What every notebook may depend on: the library (not this runner), the reference numbers, weights, versions."""
+    library = Path(__file__).parent.parent
+    runner = {
+        library / "book" / f"{name}.py" for name in ("run", "build", "pdf", "sphinx_ext", "_execution", "_display")
+    }
+    modules = sorted(p for p in library.rglob("*.py") if p not in runner and p.parent != library / "cli")
+    data = sorted(p for folder in (paths.REFERENCE, paths.PRETRAINED) for p in folder.rglob("*") if p.is_file())
+    return {
+        "library": code_version(*modules),
+        "data folder": digest(*(part for path in data for part in (path.name, path))),
+        "weights": "trained anew" if RETRAIN in os.environ else "committed where they fit",
+        "packages": package_versions(),
+        "python": ".".join(platform.python_version_tuple()[:2]),
+    }
+
+
+@functools.cache
+def _resolved(source: str) -> str:
+    from inflate_lib.structures.sources import resolve_source
+
+    return resolve_source(source)
+
+
+def _match(number: str, notebooks: list[Path]) -> Path:
+    """The notebook that ``04``, ``4`` or ``04_inflation`` means."""
+    found = [n for n in notebooks if n.stem == number or n.stem.split("_")[0] == number.zfill(2)]
+    if len(found) != 1:
+        raise RunError(f"--only {number}: there is no such notebook; there are: {', '.join(n.stem for n in notebooks)}")
+    return found[0]
+
+
+def _run(todo: list[Job], jobs: int, console: Console) -> dict[str, float]:
+    """Execute the jobs; seconds by name. The first failure, Ctrl-C or a kill ends all that still run."""
+    threads = str(max(1, (os.cpu_count() or 1) // jobs))
+    environment = {name: os.environ.get(name, threads) for name in THREADS}
+    environment |= {"INFLATE_HOME": str(paths.ROOT), "INFLATE_CACHE": str(paths.CACHE), "PYTHONHASHSEED": "0"}
+    environment["PYTHONWARNINGS"] = ",".join(filter(None, [os.environ.get("PYTHONWARNINGS"), RESTARTED]))
+    display = Bars(console) if console.is_terminal else Lines(console)
+    seconds = {}
+    with _kill_is_ctrl_c(), display, Kernels(environment) as kernels, ThreadPoolExecutor(jobs) as pool:
+        futures = [pool.submit(_timed, job, kernels, display) for job in todo]
+        try:
+            for future in as_completed(futures):
+                name, time_taken = future.result()
+                seconds[name] = time_taken
+                display.finished(name, time_taken)
+        except BaseException as error:
+            kernels.stop()
+            pool.shutdown(cancel_futures=True)
+            if isinstance(error, KeyboardInterrupt):
+                raise RunError("stopped; run the same command again to go on") from None
+            raise
+    return seconds
+
+
+def _timed(job: Job, kernels: Kernels, display: Listener) -> tuple[str, float]:
+    start = time.monotonic()
+    execute(job.source, job.executed, job.parameters, kernels, display, finish=functools.partial(_stamp, job))
+    return job.name, time.monotonic() - start
+
+
+def _stamp(job: Job, notebook: nbformat.NotebookNode, manifest: Path) -> None:
+    """Write into the executed notebook what it was made from; remove figures that an older version published."""
+    published = sorted(set(manifest.read_text(encoding="utf-8").split("\n")) - {""})
+    cells = _content(json.loads(nbformat.writes(notebook)))
+    notebook.metadata["inflate"] = {"fingerprint": job.fingerprint, "published": published, "cells": cells}
+    folder = paths.FIGURES / job.fingerprint["profile"]
+    for note in folder.glob("*.json"):
+        origin = json.loads(note.read_text(encoding="utf-8"))
+        if origin.get("notebook") == job.name and f"{folder.name}/{note.name}" not in published:
+            for file in [*origin.get("files", []), note.name]:
+                (folder / file).unlink(missing_ok=True)
+
+
+def _content(notebook: dict[str, Any]) -> str:
+    """What would show that somebody edited an executed notebook: the digest of its cells, as they are in the file."""
+    return digest(json.dumps(notebook["cells"], sort_keys=True))
+
+
+@contextmanager
+def _only_run():
+    """Two runs at once would delete each other's notebooks."""
+    paths.EXECUTED.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(paths.EXECUTED / ".lock", timeout=0):
+            yield
+    except Timeout as error:
+        raise RunError("another `inflate reproduce` is at work in this checkout; wait for it") from error
+
+
+@contextmanager
+def _kill_is_ctrl_c():
+    """A plain `kill` ends the kernels in the same orderly way as Ctrl-C."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _print_timings(console: Console, profile: str, work: list[Job], seconds: dict[str, float]) -> None:
+    table = Table(title=f"Profile {profile}")
+    table.add_column("notebook")
+    table.add_column("seconds", justify="right")
+    for job in work:
+        table.add_row(job.name, f"{seconds[job.name]:.1f}" if job.name in seconds else "fresh")
+    console.print(table)

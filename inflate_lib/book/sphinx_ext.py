@@ -1,0 +1,195 @@
+"""The frame of the book, as a Sphinx extension: every page says which run it comes from.
+
+A page that was computed carries a badge below its title, with the profile and the data that its executed notebook
+names; every page a footer with profile, commit and date. Published tables have numbers and captions, as figures do.
+Besides, it brings what depends on the run into pages that do not: the picture on the first page, the explorer's data,
+and the model cards of the committed weights.
+"""
+
+import json
+import pydoc
+import re
+from datetime import date
+from pathlib import Path
+
+from docutils import nodes
+from PIL import Image
+from sphinx.transforms import SphinxTransform
+
+from inflate_lib import paths
+from inflate_lib._provenance import code_state
+from inflate_lib.book.page import SOURCES
+from inflate_lib.book.profiles import ProfileError, load_profile
+
+HERO = "glance"  # published by notebooks/19_explorer.md
+EXPLORER = "explorer_data"  # likewise
+HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
+HERO_CAPTION = (
+    "The pipeline at a glance, once per row: a wanted height; noise that a network turns into an image; the structure "
+    "read from it, with wall and void; and that structure inflated, the wanted height dashed, the achieved one below."
+)
+TABLE = "tab-"  # how the name of a published table begins, for {numref}
+MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights
+NO_WEIGHTS = "No weights are committed at the moment: the models are trained when a notebook first needs them."
+
+
+def executed_under(notebook: Path) -> dict[str, str] | None:
+    """Profile and data source (None where it uses no data) of an executed notebook; None where it is not one."""
+    try:
+        stamp = json.loads(notebook.read_text(encoding="utf-8"))["metadata"]["inflate"]["fingerprint"]
+        return {"profile": stamp["profile"], "source": stamp["data source"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def badge(stamp: dict[str, str]) -> nodes.Node:
+    """The line below a title that tells a ci number from a paper number at a glance."""
+    try:
+        description = load_profile(stamp["profile"]).description
+    except ProfileError:  # one of the tests' own
+        description = ""
+    rest = [description] if description else []
+    rest += [SOURCES.get(stamp["source"], stamp["source"])] if stamp["source"] else []
+    name = nodes.inline(text=f"{stamp['profile']} profile", classes=["profile-name"])
+    line = nodes.paragraph("", "", name, nodes.Text(" " + " · ".join(rest)))
+    return nodes.container("", line, classes=["profile-badge", f"profile-{stamp['profile']}"])
+
+
+def footer(profile: str) -> str:
+    """Profile, commit and date, as HTML."""
+    state = code_state()
+    commit = state["commit"][:10] + (" with uncommitted changes" if state["uncommitted_changes"] else "")
+    today = date.today().isoformat()
+    return f"<p>Computed under the profile <strong>{profile}</strong> · commit {commit} · {today}</p>"
+
+
+def model_cards() -> list[Path]:
+    """The README of each folder in data/pretrained that has one."""
+    return sorted(paths.PRETRAINED.glob("*/README.md"))
+
+
+class CaptionedTable(nodes.figure):
+    """A published table: a figure that counts as a table. Its caption stays put where the table scrolls."""
+
+
+class TableCaption(nodes.caption):
+    """The caption above a table, closed at its end; Sphinx leaves that of a figure open, for a legend."""
+
+
+def _visit_table(writer, node):
+    writer.visit_figure(node)
+
+
+def _depart_table(writer, node):
+    writer.body.append("</figure>\n")
+
+
+def _visit_table_caption(writer, node):
+    writer.visit_caption(node)
+
+
+def _depart_table_caption(writer, node):
+    writer.body.append("</span>")
+    writer.add_permalink_ref(node.parent, "Link to this table")
+    writer.body.append("</p>\n</figcaption>\n")
+
+
+class CaptionTables(SphinxTransform):
+    """MyST-NB puts what a cell shows into a figure, if the cell names one: a name ``tab-…`` makes that a table."""
+
+    default_priority = 500  # before Sphinx notes what can be referred to
+
+    def apply(self):
+        for figure in list(self.document.findall(nodes.figure)):
+            if not any(name.startswith(TABLE) for name in figure["names"]):
+                continue
+            table = CaptionedTable("", **figure.attributes)
+            table["classes"] += ["captioned-table"]
+            for part in figure.children:
+                if isinstance(part, nodes.caption):
+                    table.insert(0, TableCaption(part.rawsource, "", *part.children, **part.attributes))
+                else:
+                    table += part
+            figure.replace_self(table)
+            self.document.ids.update(dict.fromkeys(table["ids"], table))
+
+
+def _configure(app, config):
+    stamps = [stamp for path in sorted(paths.EXECUTED.glob("*.ipynb")) if (stamp := executed_under(path))]
+    profile = stamps[0]["profile"] if stamps else "none"
+    config.html_theme_options = {**config.html_theme_options, "extra_footer": footer(profile)}
+    picture = Path("..", paths.FIGURES.name, profile, f"{HERO}.png")
+    caption = f"{HERO_CAPTION} Drawn from results of this book's run (profile {profile})."
+    hero = f"```{{figure}} {picture.as_posix()}\n:alt: {HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
+    config.myst_substitutions = {**config.myst_substitutions, "hero": hero if (paths.BOOK / picture).is_file() else ""}
+    data = paths.FIGURES / profile / f"{EXPLORER}.js"
+    if data.is_file():
+        config.html_static_path = [*config.html_static_path, str(data)]
+
+
+def _add_badge(app, doctree):
+    stamp = executed_under(Path(app.env.doc2path(app.env.docname)))
+    title = next(iter(doctree.findall(nodes.title)), None)
+    if stamp and title:
+        title.parent.insert(title.parent.index(title) + 1, badge(stamp))
+
+
+def _let_wide_pictures_scroll(app, doctree):
+    """A picture more than twice as wide as high gets a box of its own, in which a phone can show it large enough."""
+    for picture in list(doctree.findall(nodes.image)):
+        file = Path(app.srcdir, picture["uri"])
+        if file.suffix == ".png" and file.is_file():
+            with Image.open(file) as opened:
+                wide = opened.width > 2 * opened.height
+            if wide:
+                box = nodes.container(classes=["wide-picture"])
+                picture.replace_self(box)
+                box += picture
+
+
+def _add_model_cards(app, docname, source):
+    if MODEL_CARDS not in source[0]:
+        return
+    for card in model_cards():
+        app.env.note_dependency(str(card))
+    texts = [_one_level_down(card.read_text(encoding="utf-8")) for card in model_cards()]
+    source[0] = source[0].replace(MODEL_CARDS, "\n\n".join(texts or [NO_WEIGHTS]))
+
+
+def _one_level_down(text: str) -> str:
+    """Markdown with its headings, but not the comments in its code, one level lower."""
+    pieces = text.split("```")
+    pieces[::2] = [re.sub(r"^#", "##", piece, flags=re.MULTILINE) for piece in pieces[::2]]
+    return "```".join(pieces)
+
+
+def _resolve_public_name(app, env, node, contnode):
+    """`inflate_lib.inflate` is documented in the module that it is defined in; the same for `inflate_lib.diffusion`."""
+    ours = node.get("refdomain") == "py" and node["reftarget"].startswith("inflate_lib.")
+    found = pydoc.locate(node["reftarget"]) if ours else None
+    module, name = getattr(found, "__module__", None), getattr(found, "__qualname__", None)
+    target = f"{module}.{name}"
+    if not module or not name or target == node["reftarget"]:
+        return None
+    place = node.get("refdoc", env.docname), app.builder, node["reftype"], target, node, contnode
+    return env.get_domain("py").resolve_xref(env, *place)
+
+
+def _leave_out_thebe(app, page, template, context, doctree):
+    """Jupyter Book puts the scripts of a launch button that we do not offer on every page, twice: an error there."""
+    scripts = context.get("script_files", [])
+    context["script_files"] = [script for script in scripts if "thebe" not in f"{script.filename} {script.attributes}"]
+
+
+def setup(app):
+    """Connect to Sphinx."""
+    app.add_enumerable_node(CaptionedTable, "table", html=(_visit_table, _depart_table))
+    app.add_node(TableCaption, html=(_visit_table_caption, _depart_table_caption))
+    app.add_transform(CaptionTables)
+    app.connect("config-inited", _configure, priority=400)
+    app.connect("source-read", _add_model_cards)
+    app.connect("doctree-read", _add_badge)
+    app.connect("doctree-read", _let_wide_pictures_scroll)
+    app.connect("missing-reference", _resolve_public_name)
+    app.connect("html-page-context", _leave_out_thebe)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,50 @@
+"""The command ``inflate``: what its commands share, and where they are called from.
+
+Each command has a module of its own, which imports what it needs when it is called, so that ``--help`` is instant.
+"""
+
+import os
+import sys
+from importlib import import_module
+from typing import Annotated
+
+import typer
+
+#: In the order in which --help lists them.
+COMMANDS = ("reproduce", "book", "dataset", "simulate", "design", "train", "card", "info")
+
+app = typer.Typer(
+    help="Inverse design of inflatable structures with denoising diffusion: the runnable companion of the paper.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+ProfileName = Annotated[str, typer.Option(help="A file in notebooks/profiles, without .yml: ci, laptop, paper.")]
+Jobs = Annotated[int, typer.Option(help="Notebooks side by side.")]
+Force = Annotated[bool, typer.Option("--force", help="Execute fresh notebooks too.")]
+Retrain = Annotated[bool, typer.Option("--retrain", help="Train the models, though data/pretrained has their weights.")]
+
+
+@app.callback()
+def main(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False) -> None:
+    """Set the way in which errors are shown."""
+    if debug:
+        os.environ["INFLATE_DEBUG"] = "1"
+
+
+def load_commands() -> typer.Typer:
+    """The application with all its commands."""
+    for command in COMMANDS:
+        import_module(f"inflate_lib.cli.{command}")
+    return app
+
+
+def run() -> None:
+    """Entry point: an error that the library foresaw is one clear message and exit code 1, not a traceback."""
+    load_commands()
+    try:
+        app()
+    except (ValueError, RuntimeError, OSError, FloatingPointError) as error:
+        if os.environ.get("INFLATE_DEBUG"):
+            raise
+        sys.exit(f"inflate: {error}")

@@ -1,0 +1,23 @@
+"""``inflate book`` and ``inflate pdf``: the book, on the screen and on paper."""
+
+from inflate_lib.cli.app import Force, Jobs, ProfileName, Retrain, app
+from inflate_lib.cli.reproduce import set_retrain
+
+
+@app.command()
+def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False, retrain: Retrain = False) -> None:
+    """Execute what is not fresh, then build the book with warnings as errors."""
+    from inflate_lib.book.build import build_book
+    from inflate_lib.book.run import reproduce
+
+    set_retrain(retrain)
+    reproduce(profile, (), jobs, force)
+    build_book(profile)
+
+
+@app.command()
+def pdf() -> None:
+    """Print the book that was built last as one PDF file, with Chromium."""
+    from inflate_lib.book.pdf import print_book
+
+    print(f"The book on paper: {print_book()}")

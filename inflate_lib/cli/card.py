@@ -1,0 +1,27 @@
+"""``inflate card``: measure weights, write their card."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from inflate_lib.cli.app import ProfileName, app
+
+
+@app.command()
+def card(
+    profile: ProfileName = "laptop",
+    folder: Annotated[Path | None, typer.Option(help="Folder of the weights; data/pretrained/<profile>.")] = None,
+    targets: Annotated[
+        int | None, typer.Option(min=2, help="Held-out targets for each model; all, by default.")
+    ] = None,
+) -> None:
+    """Measure the weights of a profile on held-out targets, and write the model card beside them."""
+    from inflate_lib import paths
+    from inflate_lib.book.profiles import load_profile
+    from inflate_lib.datasets.simulate import simulated_sevens
+    from inflate_lib.experiments.card import write_card
+
+    given = load_profile(profile).parameters(paths.NOTEBOOKS / "10_scalar_targets.md")
+    data = simulated_sevens(given["source"], given["n_structures"] or None)
+    print(write_card(folder or paths.PRETRAINED / profile, data, given["sampling"], given["n_calibration"], targets))

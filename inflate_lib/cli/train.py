@@ -1,0 +1,73 @@
+"""``inflate train``: train the models of a profile."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from inflate_lib.cli.app import ProfileName, app
+
+
+@app.command()
+def train(
+    descriptor: Annotated[str, typer.Option(help="height, width, box, area, axis, joint, or all but joint.")] = "all",
+    profile: ProfileName = "ci",
+    device: Annotated[str | None, typer.Option(help="cpu, cuda or mps; found by itself otherwise.")] = None,
+    compile: Annotated[bool, typer.Option("--compile", help="With torch.compile.")] = False,
+    steps: Annotated[int | None, typer.Option(min=2, help="A dry run of so many steps: what would it cost?")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the weights in 16 bits: name.safetensors.")] = None,
+    log: Annotated[Path | None, typer.Option(help="Folder for CSV and TensorBoard logs.")] = None,
+    pack: Annotated[Path | None, typer.Option(help="Train nothing: write data and recipe, to train elsewhere.")] = None,
+) -> None:
+    """Train the models of a profile, or find them trained in the cache. A killed training goes on where it was.
+
+    Several GPUs or machines: torchrun --nproc-per-node 2 -m -- inflate_lib train … (-- keeps torchrun from --log)
+
+    A machine that has little but PyTorch: --pack pairs.safetensors, and there python -m inflate_lib.models.remote …
+    """
+    from inflate_lib import paths
+    from inflate_lib.book.profiles import load_profile
+    from inflate_lib.datasets.simulate import simulated_sevens
+    from inflate_lib.descriptors import DESCRIPTORS, check_name
+    from inflate_lib.diffusion import _ranks
+    from inflate_lib.models import train
+
+    if pack is not None and (steps, out, log) != (None, None, None):
+        raise ValueError("--pack trains nothing: leave out --steps, --out and --log")
+    if steps is not None and (out, log) != (None, None):
+        raise ValueError("--steps is a dry run, which keeps nothing: leave out --out and --log")
+    names = list(DESCRIPTORS) if descriptor == "all" else [check_name(descriptor)]
+    given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
+    training = given["training"] | ({"device": device} if device else {}) | ({"compile": True} if compile else {})
+    _ranks.start(training.get("device", "auto"))
+    data = simulated_sevens(given["source"], given["n_structures"] or None)
+    basis = names, training, data, given["n_augmented"], given["seed"]
+    if pack is not None:
+        train.pack(pack, *basis, profile)
+        text = f"{', '.join(names)}: {pack}, {pack.stat().st_size / 1e6:.1f} MB"
+    elif steps:
+        cost = train.training_cost(*basis, steps)
+        at_a_time = cost["side by side"][0]
+        text = f"{cost.to_string(index=False, float_format='{:.4g}'.format)}\nthe whole training: about "
+        text += f"{cost['hours'].sum() / at_a_time:.3g} h, {at_a_time} at a time"
+    else:
+        log = log or paths.CACHE / "logs" / profile
+        files = train.train_models(*basis, log)
+        text = "\n".join(_export(Path(file), name, profile, out) for name, file in files.items() if file)
+    if _ranks.rank() == 0:
+        print(text)
+    _ranks.finish()
+
+
+def _export(file: Path, name: str, profile: str, out: Path | None) -> str:
+    """Copy a trained model in 16 bits to `out`; a line about it."""
+    from inflate_lib.diffusion import TrainedModel
+
+    model = TrainedModel.load(file)
+    if out is not None:
+        model.metadata |= {"profile": profile}
+        file = out / f"{name}.safetensors"
+        model.save(file, half=True)
+    about, loss = model.metadata, model.history["loss"][-1]
+    unseen = f", held out {about['held_out_loss']:.4f}" if "held_out_loss" in about else ""
+    return f"{name}: {about['seconds'] / 60:.1f} min on {about['device']}, loss {loss:.4f}{unseen}: {file}"

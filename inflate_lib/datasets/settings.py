@@ -1,0 +1,52 @@
+"""The choices behind the simulation that can be made otherwise, and the data set under each of them (calibration study)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from inflate_lib.descriptors import describe
+from inflate_lib.mechanics.inflation import inflate
+from inflate_lib.structures.labels import THRESHOLD, label_image
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a simulation may be made with instead of the default."""
+
+    threshold: float = THRESHOLD
+    pad: bool = True
+    element: str = "mean-dilatation"
+    refine: int = 1
+
+
+#: The calibration study: the default first, then one choice changed at a time.
+SETTINGS = (
+    Setting(),
+    Setting(threshold=0.4),
+    Setting(threshold=0.6),
+    Setting(pad=False),
+    Setting(element="q1"),
+    Setting(refine=2),
+)
+
+
+def simulate_setting(images, setting, n_jobs=1):
+    """Height, width and hull area at full pressure, (n, 3), of images simulated with a `Setting`.
+
+    One load step, since the end does not depend on their number. NaN where an image gives no structure (an unpadded
+    wall may be open) or no equilibrium was found.
+    """
+    return np.array(Parallel(n_jobs=n_jobs, batch_size=16)(delayed(_sizes)(image, setting) for image in images))
+
+
+def _sizes(image, setting):
+    try:
+        label = label_image(image, threshold=setting.threshold, pad=setting.pad)
+        result = inflate(label, n_steps=1, element=setting.element, refine=setting.refine)
+    except ValueError:
+        return [np.nan] * 3
+    if not result.converged:
+        return [np.nan] * 3
+    shape = describe(result)
+    return [shape.height, shape.width, shape.hull_area]

@@ -1,0 +1,298 @@
+"""Data sets of inflated structures (paper sec. 3): many images → label, inflate, describe → one netCDF file.
+
+Nothing is dropped: an image that gives no structure, or a structure without an equilibrium, keeps its row with
+``converged = False`` and the reason.
+"""
+
+import os
+import platform
+import zlib
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from joblib.parallel import get_active_backend
+
+import inflate_lib
+from inflate_lib import _progress, descriptors
+from inflate_lib._cache import cached, code_version, digest
+from inflate_lib.datasets import _workers
+from inflate_lib.datasets.storage import load_dataset, save_dataset
+from inflate_lib.descriptors import AXIS_POINTS
+from inflate_lib.mechanics import contact, inflation
+from inflate_lib.structures import labels, sources
+from inflate_lib.structures.labels import FRAME
+
+# xarray is imported where it is used: the processes that simulate need none, and start in half the time without.
+
+PIECE = 32  # structures per unit of work, which is what a killed run can lose; fewer where there are few in all
+ALONE = 128  # as many structures are done in this process before others have started
+TIME_LIMIT = 1.0, 0.1  # seconds allowed for a structure, or per load step if that is more; see `inflation.inflate`
+
+_UNITS = {
+    "height": ("deformed height h", "1"),
+    "width": ("deformed width w", "1"),
+    "hull_area": ("area A of the deformed convex hull", "1"),
+    "medial_axis": ("medial axis of the deformed shape, bottom to top, first point at the origin", "1"),
+    "peak_stress": ("largest von Mises stress of any element, in the units of lambda and mu", "1"),
+    "peak_stretch": ("largest principal stretch of any element", "1"),
+    "image": ("grey image of the undeformed structure", "1"),
+    "label": ("label image: 0 outside, 0.5 wall, 1 void", "1"),
+    "converged": ("every load step reached equilibrium", "1"),
+    "reason": ("why not converged; empty where converged", ""),
+    "factorisations": ("factorisations of the tangent", "1"),
+    "self_contact": ("pairs of boundary edges that cross at the last load step: walls overlap where positive", "1"),
+    "contact_step": ("first load step, from 1, at which boundary edges cross; 0 where they never do", "1"),
+}
+
+
+def simulate_dataset(images, n_jobs=None, n_steps=10, progress_text=True, folder=None, backend=None, time_limit=None):
+    """Label, inflate and describe many images.
+
+    Parameters
+    ----------
+    images : (n, 28, 28) array_like, or a sequence of images
+        uint8, or float in [0, 1]. What is no usable image is not an error: its row holds the reason.
+    n_jobs : int, optional
+        Processes; -1 for one per core, 1 for none besides this one. By default what an active
+        ``joblib.parallel_config`` says, else one per core. Up to `ALONE` images never leave this process.
+    n_steps : int
+        Load steps of each inflation.
+    progress_text : bool
+        Print a line every few seconds.
+    folder : path_like, optional
+        Where finished pieces are kept: a run that was killed goes on from them.
+    backend : str, optional
+        Who works: a backend of joblib by name (``"loky"``, ``"threading"``, ``"multiprocessing"``, ``"sequential"``,
+        or one that was registered), or the address of the scheduler of a Dask cluster, ``"tcp://host:8786"``, whose
+        workers need this version of ``inflate_lib``, and no access to `folder`. By default what an active
+        ``joblib.parallel_config`` says, else local processes (loky). The data set is the same to the last bit.
+    time_limit : float, optional
+        Seconds of a nominal core after which a structure is given up, see :func:`inflate_lib.inflate`; by default 1,
+        or 0.1 per load step if that is more.
+
+    Returns
+    -------
+    xarray.Dataset
+        One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged),
+        height, width, hull_area, medial_axis (structure, point, axis), peak_stress, peak_stretch (see
+        :func:`inflate_lib.mechanics.stress.peaks`), factorisations, self_contact, contact_step (see
+        :mod:`inflate_lib.mechanics.contact`). Descriptors are in lengths and areas of the unit square, NaN where not
+        converged.
+
+    Raises
+    ------
+    ValueError
+        Where `images` is no sequence of images at all, or another argument is out of range or unknown.
+    RuntimeError
+        Where a local process dies, or the Dask cluster does not answer or fails (a worker of it that dies is no
+        failure). What is in `folder` by then is not done again.
+    """
+    images = _as_sequence(images)
+    if n_jobs is None:
+        n_jobs = get_active_backend()[1] or -1
+    if isinstance(n_jobs, bool) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
+        raise ValueError(f"n_jobs must be 1, 2, … processes or -1 for one per core, not {n_jobs!r}")
+    inflation.check_steps(n_steps)
+    if time_limit is None:
+        time_limit = max(TIME_LIMIT[0], TIME_LIMIT[1] * n_steps)
+    inflation.check_time_limit(time_limit)
+    address = _workers.check_backend(backend)
+    if folder is not None:
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def run(tasks):
+        if address is not None:
+            return _workers.run_on_cluster(address, _simulate, tasks)
+        return _workers.run_here(_simulate, tasks, 1 if len(images) <= ALONE else n_jobs, backend)
+
+    done = _pieces(images, n_steps, time_limit, folder, run)
+    if progress_text:
+        done = _progress.track(((len(rows["height"]), rows) for rows in done), len(images), "inflating structures")
+    return _assemble(list(done), n_steps)
+
+
+def simulated_sevens(source="auto", n_structures=None, n_jobs=None, backend=None):
+    """The simulated sevens, computed once and kept on disk.
+
+    Parameters
+    ----------
+    source : {"auto", "mnist", "digits"}
+        See :func:`inflate_lib.structures.sources.load_sevens`.
+    n_structures : int, optional
+        Only the first ones.
+    n_jobs, backend
+        Who works, see :func:`simulate_dataset`.
+
+    Returns
+    -------
+    xarray.Dataset
+        See :func:`simulate_dataset`.
+    """
+    return load_dataset(simulated_sevens_file(source, n_structures, n_jobs, backend))
+
+
+def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend=None):
+    """Path of the netCDF file that :func:`simulated_sevens` reads."""
+    sevens = sources.load_sevens(source, limit=n_structures)
+
+    def make(target, scratch):
+        data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch, backend=backend)
+        data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": _code()}
+        save_dataset(data, target)
+
+    return cached("dataset", {"images": digest(sevens.images), "steps": 10, "code": _code()}, make, ".nc")
+
+
+@cache
+def _code():
+    steps = "structures", "mechanics", "descriptors", "datasets"
+    return code_version(*(f"inflate_lib.{step}" for step in steps))
+
+
+def _as_sequence(images):
+    """`images` as something that can be cut into parts; the single images are not judged here."""
+    if getattr(images, "ndim", 3) in (0, 2):  # an array, a tensor, a data frame
+        raise ValueError("images: a stack (n, 28, 28) is needed; put a single image in a list")
+    no_sequence = isinstance(images, str | bytes | Mapping)
+    if no_sequence or not hasattr(images, "__len__") or not hasattr(images, "__getitem__"):
+        raise ValueError(f"images: a sequence of images is needed, not {type(images).__name__}")
+    if len(images) == 0:
+        raise ValueError("images: the sequence is empty")
+    return images
+
+
+def _pieces(images, n_steps, time_limit, folder, run):
+    """The rows of all images piece by piece, in order.
+
+    Each piece is stored here, where the results come together, as soon as it is there: workers need not see `folder`.
+    """
+    size = min(PIECE, -(-len(images) // 16))  # 16: even a few images are shared out evenly
+    starts = range(0, len(images), size)
+
+    def read(number):
+        return _read(images, starts[number], min(starts[number] + size, len(images)))
+
+    def file(number):
+        piece, reasons = read(number)
+        key = digest(piece, repr((reasons, n_steps, float(time_limit))), _code())
+        return folder / f"{starts[number]:06d}-{key[:16]}.npz"
+
+    files = {} if folder is None else {number: file(number) for number in range(len(starts))}
+    there = {number: rows for number, path in files.items() if (rows := _stored(path)) is not None}
+    missing = [number for number in range(len(starts)) if number not in there]
+    new = run((*read(number), n_steps, time_limit) for number in missing) if missing else iter(())
+    for number in range(len(starts)):
+        while number not in there:
+            task, rows = next(new)
+            if folder is not None:
+                _store(files[missing[task]], rows)
+            there[missing[task]] = rows
+        yield there.pop(number)
+
+
+def _read(images, start, stop):
+    """Images as one array, zero where one is unusable, and the reasons, empty where it is usable.
+
+    Whatever an image may be, workers get numbers.
+    """
+    whole_numbers = getattr(images, "dtype", None) == np.uint8
+    usable = np.zeros((stop - start, FRAME, FRAME), dtype=np.uint8 if whole_numbers else float)
+    reasons = [""] * len(usable)
+    for i in range(len(usable)):
+        try:
+            grey = labels.as_grey(images[start + i])
+            usable[i] = images[start + i] if whole_numbers else grey
+        except ValueError as error:
+            reasons[i] = str(error)
+        except Exception as error:  # a foreign object may raise anything when it is taken for an array
+            reasons[i] = f"image cannot be read ({type(error).__name__}: {error})"
+    return usable, reasons
+
+
+def _simulate(images, reasons, n_steps, time_limit):
+    """The rows of a few images, as a dict of arrays."""
+    n = len(images)
+    rows = {
+        "image": images if images.dtype == np.uint8 else images.astype(np.float32),
+        "label": np.zeros((n, FRAME, FRAME), dtype=np.float32),
+        "converged": np.zeros(n, dtype=bool),
+        "reason": list(reasons),
+        "height": np.full(n, np.nan),
+        "width": np.full(n, np.nan),
+        "hull_area": np.full(n, np.nan),
+        "medial_axis": np.full((n, AXIS_POINTS, 2), np.nan),
+        "peak_stress": np.full(n, np.nan),
+        "peak_stretch": np.full(n, np.nan),
+        "factorisations": np.zeros(n, dtype=np.int32),
+        "self_contact": np.zeros(n, dtype=np.int32),
+        "contact_step": np.zeros(n, dtype=np.int32),
+    }
+    for i, image in enumerate(images):
+        if rows["reason"][i]:
+            continue
+        try:
+            rows["label"][i] = label = labels.label_image(image)
+            result = inflation.inflate(label, n_steps=n_steps, time_limit=time_limit)
+            rows["factorisations"][i], rows["reason"][i] = result.factorisations, result.reason
+            if not result.converged:
+                continue
+            shape = descriptors.describe(result)
+        except ValueError as error:
+            rows["reason"][i] = str(error)
+            continue
+        rows["converged"][i] = True
+        rows["height"][i], rows["width"][i], rows["hull_area"][i] = shape.height, shape.width, shape.hull_area
+        rows["medial_axis"][i] = shape.medial_axis
+        rows["peak_stress"][i], rows["peak_stretch"][i] = shape.peak_stress, shape.peak_stretch
+        if (first := contact.first_contact(result)) is not None:
+            rows["contact_step"][i], rows["self_contact"][i] = first + 1, contact.self_contact(result)
+    rows["reason"] = np.array(rows["reason"])
+    return rows
+
+
+def _stored(path):
+    """Rows from a file, or None where it is not there or damaged."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            return dict(stored)
+    except (OSError, ValueError, EOFError, KeyError, BadZipFile, zlib.error):
+        return None
+
+
+def _store(path, rows):
+    draft = path.with_name(f".{os.getpid()}-{path.name}")
+    np.savez(draft, **rows)
+    os.replace(draft, path)
+
+
+def _assemble(parts, n_steps):
+    import xarray as xr
+
+    dims = {"image": ("structure", "row", "column"), "label": ("structure", "row", "column")}
+    dims["medial_axis"] = ("structure", "point", "axis")
+    variables = {
+        name: (dims.get(name, ("structure",)), np.concatenate([part[name] for part in parts])) for name in parts[0]
+    }
+    data = xr.Dataset(variables, coords={"axis": ["x", "y"]})
+    data["reason"] = data["reason"].astype(object)
+    for name, (text, units) in _UNITS.items():
+        data[name].attrs |= {"long_name": text} | ({"units": units} if units else {})
+    data.attrs = {
+        "title": "Inflated structures and their descriptors",
+        "length_unit": "side of the unit square that the image fills",
+        "element": "bilinear quadrilateral with mean dilatation, one per wall pixel, plane strain",
+        "lambda": inflation.LAMBDA,
+        "mu": inflation.MU,
+        "pressure": inflation.PRESSURE,
+        "load_steps": n_steps,
+        "inflate_lib": inflate_lib.__version__,
+        **{package: version(package) for package in ("numpy", "scipy", "numba", "xarray")},
+        "python": platform.python_version(),
+        "references": "arXiv:2508.13097, section 3",
+    }
+    return data

@@ -1,0 +1,29 @@
+"""A data set of inflated structures as one netCDF file."""
+
+from inflate_lib.descriptors import VARIABLES
+
+
+def save_dataset(data, path):
+    """Write a data set as one netCDF file, compressed."""
+    encoding = {name: {"zlib": True, "complevel": 4} for name in data.data_vars if data[name].dtype.kind in "fiu"}
+    data.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+
+
+def load_dataset(path):
+    """Read a data set that :func:`save_dataset` wrote.
+
+    Raises
+    ------
+    ValueError
+        Where the file is missing, or is no data set of inflated structures.
+    """
+    import xarray as xr
+
+    try:
+        data = xr.load_dataset(path, engine="h5netcdf")
+    except (OSError, KeyError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read as a netCDF data set: {error}") from None
+    needed = {"image", "converged", "reason"}.union(*VARIABLES.values())
+    if missing := needed - set(data.variables):
+        raise ValueError(f"{path} is no data set of inflated structures; it lacks {', '.join(sorted(missing))}")
+    return data

@@ -1,0 +1,70 @@
+"""What a training run tells while it runs: lines of progress, a CSV file, TensorBoard."""
+
+import time
+from pathlib import Path
+
+from inflate_lib.diffusion._storage import naming
+
+COLUMNS = ("step", "loss", "simple", "vlb", "seconds")
+
+
+class Progress:
+    """Prints one plain line every few seconds: step, loss, images per second, time left.
+
+    ``progress`` is False for silence, or a word that begins each line. ``run`` is the training run.
+    """
+
+    def __init__(self, progress: bool | str, run, seconds: float = 5):
+        self.on, self.label = progress is not False, progress if isinstance(progress, str) else "training"
+        self.run, self.seconds = run, seconds
+        self.started = self.printed = time.monotonic()
+        self.first = run.step
+
+    def __call__(self, done: bool) -> None:
+        now = time.monotonic()
+        if not self.on or (now - self.printed < self.seconds and not done):
+            return
+        self.printed = now
+        rate = (self.run.step - self.first) / max(now - self.started, 1e-9)
+        left = (self.run.total - self.run.step) / rate
+        losses = self.run.history["loss"]
+        loss = f"{losses[-1]:.4f}" if losses else "–"
+        state = f"{now - self.started:.0f} s" if done else f"{left // 60:.0f} min {left % 60:02.0f} s left"
+        print(
+            f"{self.label}: step {self.run.step}/{self.run.total}  loss {loss}  "
+            f"{rate * self.run.config.batch_size:.0f} images/s  {state}",
+            flush=True,
+        )
+
+
+class Log:
+    """``history.csv``, and TensorBoard events where the package tensorboard is installed, in a folder.
+
+    The rows are those of the run's history and the seconds spent until then. What a killed run logged after its last
+    checkpoint, which ends at ``step``, is dropped: the run repeats it.
+    """
+
+    def __init__(self, folder: Path, step: int):
+        folder.mkdir(parents=True, exist_ok=True)
+        self.path = folder / "history.csv"
+        before = self.path.read_text().splitlines(keepends=True)[1:] if self.path.exists() else []
+        whole = (line for line in before if line.endswith("\n") and line.count(",") == len(COLUMNS) - 1)
+        kept = [line for line in whole if int(line.split(",")[0]) <= step]
+        with naming(self.path):
+            self.path.write_text(",".join(COLUMNS) + "\n" + "".join(kept))
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            print("no TensorBoard logs: the package tensorboard is not installed (pip install tensorboard)")
+            self.events = None
+        else:
+            self.events = SummaryWriter(str(folder), purge_step=step + 1)
+
+    def add(self, **row: float) -> None:
+        """Append a row, by the names of ``COLUMNS``."""
+        with naming(self.path), self.path.open("a") as file:
+            file.write(",".join(str(row[name]) for name in COLUMNS) + "\n")
+        if self.events is not None:
+            for name in COLUMNS[1:]:
+                self.events.add_scalar(name, row[name], row["step"])
+            self.events.flush()

@@ -1,0 +1,165 @@
+"""Model cards: what the weights of a profile are, where they come from, and how far they can be trusted."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from inflate_lib._cache import digest
+from inflate_lib.descriptors import DESCRIPTORS, JOINT, PHYSICAL
+from inflate_lib.diffusion import TrainedModel
+from inflate_lib.experiments.calibrate import calibrate
+from inflate_lib.experiments.run import held_out_targets, run_experiment
+from inflate_lib.experiments.tables import score, scores, with_interval
+
+SEED = 1  # of the choice of targets, and of the noise
+
+_CARD = """# Weights of the profile `{profile}`
+
+Conditional diffusion models: one for each descriptor of an inflated structure and, where there is one, a *joint* model,
+which takes any combination of them. They are float16 safetensors, for `inflate_lib.diffusion.TrainedModel.load`. This
+page was written by `inflate card --profile {profile}`, which measures what it states.
+
+## Data
+
+{source}: {structures} structures that inflate, of which every tenth (those whose index ends in 9) was held out with
+all its flips and shifts; {pairs} pairs of image and descriptor were trained on. Digest of the images: `{data}`. The
+images are not in here.
+
+## Recipe
+
+{recipe}
+
+## Training
+
+{training}
+
+Minutes are those of the clock for one model, on the device named. On a CPU as many models as there are cores train
+side by side, with one thread each, so that two cores trained all of these in half the sum. The loss is the mean of
+the last interval of training, the held-out loss the simple loss on the structures that were left out.
+
+## Accuracy
+
+For each model the descriptors of {n} held-out structures that lie in the range of its training data were asked for, one
+structure was drawn for each and inflated, and what it achieved was compared with what was asked for; sampling:
+{sampling}; {calibration}. In brackets: 95 % bootstrap intervals. Errors are those of valid structures: drawings of
+one closed structure that converges at each load step.
+
+{accuracy}
+
+## Limits
+
+- The models draw handwritten sevens of 28 × 28 pixels and know nothing else. Descriptors outside the range of the
+  training data (in each file's header) are refused by experiments and designs; `inflate_lib.diffusion.generate` warns.
+- The descriptors are those of one material, one wall thickness and one pressure. Other conditions need other
+  simulations and other weights.
+- Single structures miss their target by the errors above: simulate what was drawn, and choose. Self-contact of the
+  inflated walls is not modelled.
+- Weights are used for a run only if the recipe and the images are the same to the last bit; otherwise models are
+  trained anew.
+"""
+
+_MEASURES = {
+    "R²": "R²",
+    "median error / target": "median error (%)",
+    "mean error / target": "mean error (%)",
+    "within 5 %": "within 5 % (%)",
+    "median point distance": "median point distance (px)",
+    "valid": "valid (%)",
+}
+
+
+def write_card(folder, data, sampling: Mapping, n_calibration=0, n: int | None = None, seed=SEED):
+    """Measure the models in a folder on held-out targets, and write the card, ``README.md``, beside them.
+
+    The measured numbers also go into the header of each file, as ``metadata["metrics"]``. A joint model is asked for
+    one descriptor after the other, and its metrics are those of each.
+
+    Parameters
+    ----------
+    folder : path_like
+        With ``<descriptor>.safetensors`` files of one recipe, as ``inflate train --out`` leaves them.
+    data : xarray.Dataset
+        All simulated structures that the models were trained on.
+    sampling : Mapping
+        Options of :func:`inflate_lib.diffusion.generate`.
+    n_calibration : int
+        Structures for :func:`inflate_lib.experiments.calibrate.calibrate`; 0 for none.
+    n : int, optional
+        Number of held-out targets; all of them by default.
+    seed : int
+        Of the choice of targets, and of the noise.
+
+    Returns
+    -------
+    Path
+        The card.
+
+    Raises
+    ------
+    ValueError
+        There are no weights in the folder, or they were trained on other data.
+    """
+    folder = Path(folder)
+    files = sorted(folder.glob("*.safetensors"))
+    if not files:
+        raise ValueError(f"{folder} holds no weights (*.safetensors); inflate train --out {folder} puts them there")
+    training, accuracy = {}, {}
+    for file in files:
+        name, model = file.stem, TrainedModel.load(file)
+        if model.metadata.get("data") != digest(data["image"].values, data["converged"].values):
+            raise ValueError(f"{file} was trained on other data: {model.metadata.get('structures')} structures")
+        metrics = {}
+        for asked in (*DESCRIPTORS, *PHYSICAL) if name == JOINT else (name,):
+            table = _measured(model, asked, data, sampling, n_calibration, n, seed)
+            rows = table.set_index("measure")[["value", "low", "high"]]
+            known = [measure for measure in _MEASURES if measure in rows.index]
+            title = f"{JOINT}: {asked}" if name == JOINT else name
+            accuracy[title] = {_MEASURES[measure]: with_interval(*rows.loc[measure]) for measure in known}
+            metrics[asked] = {measure: score(table, measure) for measure in known}
+        about = model.metadata
+        training[name] = {
+            "parameters": f"{model.net.n_parameters:,}",
+            "steps": f"{model.config.training_steps(about['pairs']):,}",
+            "minutes": f"{about['seconds'] / 60:.1f}",
+            "device": about["device"],
+            "loss": f"{model.history['loss'][-1]:.4f}",
+            "held-out loss": f"{about.get('held_out_loss', float('nan')):.4f}",
+        }
+        about["metrics"] = metrics if name == JOINT else metrics[name]
+        model.save(file, half=True)
+    recipe = (
+        pd.Series(model.config.recipe())
+        .drop(["parts", "steps", "epochs"])
+        .map(str)
+        .rename("value")
+        .rename_axis("option")
+    )
+    how = f"targets calibrated on {n_calibration} training structures (`inflate_lib.models.calibration`)"
+    card = folder / "README.md"
+    text = _CARD.format(
+        profile=about.get("profile", folder.name),
+        source={"mnist": "The sevens of the MNIST training files"}.get(about["source"], about["source"]),
+        structures=f"{about['structures']:,}",
+        pairs=f"{about['pairs']:,}",
+        data=about["data"],
+        recipe=recipe.to_frame().to_markdown(),
+        training=_markdown(training),
+        accuracy=_markdown(accuracy),
+        n="all" if n is None else n,
+        sampling=", ".join(f"{key} {value}" for key, value in sampling.items()),
+        calibration=how if n_calibration else "the model was told the target itself",
+    )
+    card.write_text(text, encoding="utf-8")
+    return card
+
+
+def _measured(model, name, data, sampling, n_calibration, n, seed):
+    """Scores of a model that is asked for one descriptor of held-out structures."""
+    calibration = calibrate(model, name, data, sampling, seed, n_calibration) if n_calibration else None
+    targets, _ = held_out_targets(data, name, model, n, seed)
+    return scores(run_experiment(model, name, targets, 1, sampling, seed, calibration=calibration), name, data)
+
+
+def _markdown(rows: Mapping) -> str:
+    return pd.DataFrame(rows).T.fillna("–").rename_axis("model").to_markdown()

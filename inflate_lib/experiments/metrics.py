@@ -1,0 +1,93 @@
+"""How far structures are from what was asked for, and how sure such numbers are.
+
+Intervals are percentile bootstrap intervals (Efron & Tibshirani 1993, chapter 13): the same number, computed again and
+again from resamples of the structures, and the range that holds the middle 95 % of the results."""
+
+import numpy as np
+
+from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.structures.labels import PIXEL
+
+
+def errors(experiment, descriptor):
+    """Distance of what was achieved from what was asked for, one number per structure.
+
+    Parameters
+    ----------
+    experiment : xarray.Dataset
+        From :func:`inflate_lib.experiments.run.run_experiment`.
+    descriptor : str
+
+    Returns
+    -------
+    (n,) float
+        Scalars: relative error ``|achieved − target| / target``. Box: the mean of its two relative errors. Axis: mean
+        distance of the thirty points, in pixels. NaN where the structure did not converge.
+    """
+    return misses(descriptor, descriptor_matrix(experiment, descriptor), experiment["target"].values)
+
+
+def misses(descriptor, achieved, target):
+    """:func:`errors` of descriptors that are given as arrays, achieved and target (n, N)."""
+    if descriptor == "axis":
+        return point_distances(achieved, target).mean(axis=1)
+    return np.abs(achieved / target - 1).mean(axis=1)
+
+
+def point_distances(axes, others):
+    """Distances of the points of medial axes from those of others, in pixels: (n, 60), (n, 60) → (n, 30)."""
+    apart = (np.asarray(axes) - np.asarray(others)).reshape(-1, np.shape(axes)[-1] // 2, 2)
+    return np.linalg.norm(apart, axis=-1) / PIXEL
+
+
+def hausdorff(axes, others):
+    """Hausdorff distances of medial axes as sets of points, pair by pair, in pixels: (n, 60), (n, 60) → (n,).
+
+    The largest distance of any point of one axis from the nearest point of the other.
+    """
+    axes, others = (np.reshape(part, (len(part), -1, 2)) for part in (axes, others))
+    apart = np.linalg.norm(axes[:, :, None] - others[:, None, :], axis=-1)
+    return np.maximum(apart.min(axis=1).max(axis=1), apart.min(axis=2).max(axis=1)) / PIXEL
+
+
+def r_squared(target, achieved):
+    """Coefficient of determination of achieved (n, N) against target (n, N), components weighted by their variance.
+
+    1 − Σ|achieved − target|² / Σ|target − mean target|², over the rows without NaN; NaN where targets do not differ.
+    """
+    known = np.isfinite(achieved).all(axis=1)
+    target, achieved = target[known], achieved[known]
+    if not len(target) or not np.ptp(target, axis=0).any():  # the mean of equal numbers may differ from them
+        return np.nan
+    return 1 - ((achieved - target) ** 2).sum() / ((target - target.mean(axis=0)) ** 2).sum()
+
+
+def bootstrap(statistic, n, groups=None, seed=0, n_resamples=1000, level=0.95):
+    """Percentile bootstrap interval of a statistic of n structures.
+
+    Parameters
+    ----------
+    statistic : callable
+        ``statistic(rows)`` with row numbers (n,) → a number, or an array of them.
+    n : int
+    groups : (n,) array_like, optional
+        Rows are drawn anew within each group, for targets that are fixed; by default all rows are one group.
+    seed, n_resamples : int
+    level : float
+        Share of the resamples that the interval holds.
+
+    Returns
+    -------
+    low, high : float arrays of the statistic's shape
+        NaN where too few resamples give a number.
+    """
+    rng = np.random.default_rng(seed)
+    groups = np.zeros(n, dtype=int) if groups is None else np.asarray(groups)
+    parts = [np.flatnonzero(groups == group) for group in np.unique(groups)]
+    values = []
+    for _ in range(n_resamples):
+        values.append(statistic(np.concatenate([part[rng.integers(len(part), size=len(part))] for part in parts])))
+    values = np.sort(np.asarray(values, dtype=float), axis=0)  # NaN last
+    known = np.isfinite(values).all(axis=0)
+    ends = np.quantile(np.where(known, values, 0.0), [(1 - level) / 2, (1 + level) / 2], axis=0)
+    return tuple(np.where(known, end, np.nan) for end in ends)

@@ -1,0 +1,257 @@
+"""Ask a model for targets and see what comes (paper sec. 2.3): targets → images → label, inflate, describe.
+
+An *experiment* is a simulated data set that also knows what each structure was meant for: ``target``, ``level`` (the
+number of the target) and ``valid``. Structures from elsewhere, such as real ones, can be judged in the same form.
+"""
+
+import os
+import warnings
+from collections.abc import Mapping
+
+import numpy as np
+
+from inflate_lib import _progress, descriptors
+from inflate_lib._cache import cached, code_version, digest
+from inflate_lib.datasets import simulate
+from inflate_lib.datasets.split import held_out
+from inflate_lib.datasets.storage import load_dataset, save_dataset
+from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.diffusion import generate
+from inflate_lib.structures import labels
+
+WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for a drawing to be one structure
+PIECE = 128  # structures generated at a time, which is what a killed run can lose
+
+#: What one component of each descriptor is called in tables and messages.
+COMPONENTS = {"height": ["h"], "width": ["w"], "box": ["h", "w"], "area": ["A"]}
+COMPONENTS |= {"stress": ["stress"], "stretch": ["stretch"]}
+
+
+def run_experiment(
+    model,
+    descriptor,
+    targets,
+    n_per_target=50,
+    sampling: Mapping | None = None,
+    seed=0,
+    n_jobs=-1,
+    extrapolate=False,
+    calibration=None,
+):
+    """Generate structures for each target, inflate and describe them (paper sec. 2.3).
+
+    Parameters
+    ----------
+    model : TrainedModel
+    descriptor : str
+    targets : (k, N) array_like
+        Wanted descriptors, in lengths or areas of the unit square.
+    n_per_target : int
+        Structures generated for each target.
+    sampling : Mapping, optional
+        Options of :func:`inflate_lib.diffusion.generate`: sampler, steps, eta, guidance.
+    seed : int
+        Of the noise.
+    n_jobs : int
+        Processes of the simulation.
+    extrapolate : bool
+        Generate for targets outside the range of the training data as well, with a warning.
+    calibration : inflate_lib.models.calibration.Calibration, optional
+        Turns each target into what the model has to be told to reach it; by default that is the target itself.
+
+    Returns
+    -------
+    xarray.Dataset
+        As :func:`judge` gives it, one row per structure, target after target.
+
+    Raises
+    ------
+    ValueError
+        For targets of the wrong shape, or outside the range of the training data without `extrapolate`; for options
+        that the sampler does not have.
+    """
+    targets = check_targets(model, descriptor, targets, extrapolate)
+    sampling = dict(sampling or {})
+    if n_per_target < 1:
+        raise ValueError(f"n_per_target must be at least 1, not {n_per_target!r}")
+    level = np.repeat(np.arange(len(targets)), n_per_target)
+    told = targets if calibration is None else calibration.told(targets)
+    if model.config.parts:  # one model for all descriptors
+        told = descriptors.joint_conditions(descriptor, told)
+
+    def make(target, scratch):
+        drawn = _draw(model, told[level], seed, sampling, scratch)
+        images = np.concatenate(list(_progress.track(drawn, len(level), f"generating structures ({descriptor})")))
+        data = judge(images, descriptor, targets, level, n_jobs, scratch)
+        data.attrs |= {"seed": seed} | {f"sampling_{k}": v for k, v in sampling.items()}
+        save_dataset(data, target)
+
+    key = {
+        "descriptor": descriptor,
+        "model": model_digest(model),
+        "objective": model.config.objective,
+        "targets": digest(targets),
+        "told": digest(told),
+        "n_per_target": n_per_target,
+        "sampling": sampling,
+        "seed": seed,
+        "code": code(),
+    }
+    return load_dataset(cached("experiment", key, make, ".nc"))
+
+
+def judge(images, descriptor, targets, level=None, n_jobs=-1, folder=None):
+    """Label, inflate and describe images that were drawn for targets.
+
+    Parameters
+    ----------
+    images : (n, 28, 28) array_like
+    descriptor : str
+    targets : (k, N) float
+    level : (n,) int, optional
+        Number of the target that each image was drawn for; by default one image per target.
+    n_jobs, folder
+        See :func:`inflate_lib.simulate_dataset`.
+
+    Returns
+    -------
+    xarray.Dataset
+        As :func:`inflate_lib.simulate_dataset` gives it, with the variables ``level``, ``target`` (structure,
+        component) and ``valid`` besides: the drawing is one structure, not a broken one of which the largest piece was
+        taken, and it converged. Images that give no structure keep their row.
+    """
+    data = simulate.simulate_dataset(images, n_jobs=n_jobs, folder=folder)
+    whole = np.array([is_whole(image) for image in images])
+    return as_experiment(data, descriptor, targets, level, data["converged"].values & whole)
+
+
+def as_experiment(data, descriptor, targets, level=None, valid=None):
+    """Simulated structures as an experiment: what each was meant for, and whether it counts."""
+    level = np.arange(len(targets)) if level is None else np.asarray(level)
+    valid = data["converged"].values if valid is None else valid
+    return data.assign(
+        level=("structure", level, {"long_name": "number of the target"}),
+        target=(("structure", "component"), targets[level], {"long_name": f"target {descriptor}", "units": "1"}),
+        valid=("structure", valid, {"long_name": "one structure that converges"}),
+    ).assign_attrs(descriptor=descriptor)
+
+
+def check_targets(model, descriptor, targets, extrapolate=False):
+    """Targets as an array (k, N), refused where they lie outside the range that the model was trained on.
+
+    Raises
+    ------
+    ValueError
+        With the range, for targets outside it. With `extrapolate` it is a warning instead.
+    """
+    components = descriptors.length(descriptor)
+    targets = np.asarray(targets, dtype=float)
+    if targets.size == 0 or targets.size % components:
+        raise ValueError(f"targets for {descriptor} must have shape (k, {components}), not {targets.shape}")
+    targets = targets.reshape(-1, components)
+    low, high = target_range(model, descriptor)
+    fits = _fits(low, high, targets)
+    outside = ~fits.all(axis=1)
+    if outside.any():
+        row = int(np.argmax(outside))
+        column = int(np.argmin(fits[row]))
+        what = f"target {row} asks for {component_name(descriptor, column)} = {targets[row, column]:.4g}"
+        seen = f"{low[column]:.4g} to {high[column]:.4g}"
+        many = f"{outside.sum()} of {len(targets)} targets for {descriptor} lie outside the training data"
+        text = f"{many}: {what}, where structures from {seen} were seen"
+        if not extrapolate:
+            raise ValueError(f"{text}. Ask for something within that range, or say extrapolate=True.")
+        warnings.warn(f"{text}. Expect poor structures.", stacklevel=3)
+    return targets
+
+
+def inside(model, descriptor, targets):
+    """Which targets (k, N) lie within the range of the training data in every component, (k,) bool."""
+    return _fits(*target_range(model, descriptor), targets).all(axis=1)
+
+
+def target_range(model, descriptor):
+    """Least and largest value of each component of a descriptor that a model was trained on, (N,) each."""
+    n = descriptors.length(descriptor)
+    if len(model.condition_min) == n:
+        return model.condition_min, model.condition_max
+    asked = ~np.isnan(descriptors.joint_conditions(descriptor, np.zeros((1, n)))[0])  # of a model for all descriptors
+    return model.condition_min[asked], model.condition_max[asked]
+
+
+def component_name(descriptor, column):
+    """What a component of a descriptor is called: h, w, A, or for axes "x of point 3"."""
+    if descriptor == "axis":
+        return f"{'xy'[column % 2]} of point {column // 2}"
+    return COMPONENTS[descriptor][column]
+
+
+def held_out_targets(data, descriptor, model=None, n=200, seed=0):
+    """Targets that real structures reach which no model was trained on, so that each can be achieved.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Simulated structures, all of them.
+    descriptor : str
+    model : TrainedModel, optional
+        Leave structures out whose descriptor lies outside its training range.
+    n : int
+        How many, drawn without repetition; all of them where there are fewer.
+    seed : int
+        Of the draw.
+
+    Returns
+    -------
+    targets : (n, N) float
+    rows : (n,) int
+        Which structures of `data` they belong to.
+    """
+    usable = np.flatnonzero(data["converged"].values & held_out(data.sizes["structure"]))
+    order = np.random.default_rng(seed).permutation(usable)
+    matrix = descriptor_matrix(data, descriptor)
+    rows = order if model is None else order[inside(model, descriptor, matrix[order])]
+    return matrix[rows[:n]], rows[:n]
+
+
+def is_whole(image):
+    """Whether one connected piece holds nearly all bright pixels of a generated image."""
+    bright = image > labels.THRESHOLD
+    try:
+        return bool(labels.main_component(image).sum() >= WHOLE * bright.sum())
+    except ValueError:
+        return False
+
+
+def model_digest(model):
+    """What a model is, to the last bit."""
+    weights = [value.numpy() for _, value in sorted(model.net.state_dict().items())]
+    return digest(*weights, model.condition_min, model.condition_max)
+
+
+def code():
+    """Version of all code between a model and the descriptors of what it draws."""
+    steps = "structures", "mechanics", "descriptors", "datasets", "diffusion", "experiments.run"
+    return code_version(*(f"inflate_lib.{step}" for step in steps))
+
+
+def _draw(model, targets, seed, sampling, folder):
+    """Images piece by piece, with the number in each; a piece that a killed run has left in `folder` is not redone."""
+    for start in range(0, len(targets), PIECE):
+        path = folder / f"images-{start:06d}.npy"
+        if path.exists():
+            images = np.load(path)
+        else:
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")  # said once already
+                images = generate(model, targets[start : start + PIECE], seed=seed, start=start, **sampling)
+            draft = path.with_suffix(f".{os.getpid()}.npy")
+            np.save(draft, images)
+            os.replace(draft, path)
+        yield len(images), images
+
+
+def _fits(low, high, targets):
+    """Which components lie within the range of the training data; NaN does not."""
+    slack = 1e-9 * np.maximum(1, np.abs(high))  # rounding
+    return (targets >= low - slack) & (targets <= high + slack)

@@ -1,0 +1,157 @@
+"""From one drawing to a verified structure: label, constraints, inflation; and how a near miss is brought nearer.
+
+A structure is made of pixels, and one pixel of its cavity more or less changes its descriptors by a tenth of a percent
+or so. An inflation takes milliseconds, drawing a candidate ten times as long. So a near miss is worth some tries: a
+pixel at the border of the cavity is flipped, the structure labelled and inflated again, and the change kept if the
+largest error has become smaller. Which pixel to try first is what the adjoint says (:mod:`inflate_lib.mechanics.adjoint`).
+"""
+
+import numpy as np
+from scipy import ndimage
+
+from inflate_lib.datasets.simulate import TIME_LIMIT
+from inflate_lib.descriptors import describe
+from inflate_lib.inverse.constraints import Constraints
+from inflate_lib.inverse.targets import errors
+from inflate_lib.mechanics.adjoint import SCALARS, flip_changes, sensitivities
+from inflate_lib.mechanics.contact import first_contact
+from inflate_lib.mechanics.inflation import inflate
+from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, label_image
+
+CROSS = ndimage.generate_binary_structure(2, 1)
+ORDERS = ("sensitivity", "random")
+LESS = 1e-3  # relative decrease of the largest error that a change must bring
+
+
+def attempt(image, constraints):
+    """Label and inflate one image under constraints.
+
+    Returns
+    -------
+    reason : str
+        Why it is rejected; empty where it is not.
+    label : (28, 28) float or None
+    result : Inflation or None
+    """
+    try:
+        label = label_image(image)
+        anywhere = Constraints(**{**constraints.as_dict(), "keep_out": None})
+        if broken := anywhere.broken_by(label):
+            return f"break {broken}", label, None
+        result = inflate(label, time_limit=TIME_LIMIT[0])
+    except ValueError:
+        return "are no structure", None, None
+    if not result.converged:
+        return "find no equilibrium", label, None
+    if first_contact(result) is not None:
+        return "have walls that cross when inflated", label, None
+    if constraints.keep_out is not None:
+        shift = free_place(label, result, constraints)
+        if shift is None:
+            return "break keep_out", label, None
+        if shift:
+            label = np.roll(label, shift, axis=1)
+            result = inflate(label, time_limit=TIME_LIMIT[0])
+            if not result.converged or constraints.broken_by(label) or constraints.broken_when_inflated(result):
+                return "break keep_out", label, None
+    return "", label, result
+
+
+def free_place(label, result, constraints):
+    """The shortest shift, in pixels to the right, by which a structure keeps out of the forbidden region; or None."""
+    columns = np.flatnonzero(np.any(label != OUTSIDE, axis=0))
+    for shift in sorted(range(-columns[0], FRAME - columns[-1]), key=abs):
+        moved = constraints.moved(shift * PIXEL)
+        if not moved.broken_by(label) and not moved.broken_when_inflated(result):
+            return shift
+    return None
+
+
+def refine(label, result, targets, constraints, goal, tries, seed=0, order="sensitivity", trace=None):
+    """Change a structure pixel by pixel until its largest error is at most `goal`, or the tries are used up.
+
+    Parameters
+    ----------
+    label : (28, 28) float
+    result : Inflation
+        Of that structure.
+    targets : Targets
+    constraints : Constraints
+        Which it fulfils, and every step on the way.
+    goal : float
+        Largest relative error to stop at.
+    tries : int
+        Inflations that may be spent.
+    seed : int
+        Of the order in which pixels are tried, as far as that is random.
+    order : {"sensitivity", "random"}
+        First the pixels that promise to bring the structure nearest to its targets (:func:`most_promising`), or any.
+    trace : list, optional
+        Filled with the largest error after each try.
+
+    Returns
+    -------
+    label : (28, 28) float
+    result : Inflation
+    flipped : list of (int, int)
+        Row and column of the pixels, in order; with `symmetric`, each stands for its mirror image as well.
+    """
+    if order not in ORDERS:
+        raise ValueError(f"order must be one of {', '.join(ORDERS)}, not {order!r}")
+    rng, flipped, symmetric = np.random.default_rng(seed), [], constraints.symmetric
+
+    def queue():
+        pixels = rng.permutation(border(label))
+        return list(most_promising(pixels, label, result, targets, symmetric) if order == "sensitivity" else pixels)
+
+    best = max(errors(targets, describe(result)).values())
+    untried = queue() if best > goal else []
+    while best > goal and tries > 0 and untried:
+        row, column = (int(i) for i in untried.pop(0))
+        tries -= 1
+        reason, changed, inflated = attempt(with_flipped(label, row, column, symmetric), constraints)
+        error = np.inf if reason else max(errors(targets, describe(inflated)).values())
+        if error <= best * (1 - LESS):
+            label, result, best = changed, inflated, error
+            flipped.append((row, column))
+            untried = queue() if best > goal else []
+        if trace is not None:
+            trace.append(best)
+    return label, result, flipped
+
+
+def most_promising(pixels, label, result, targets, symmetric=False):
+    """`pixels` (k, 2) in the order of the largest error to expect where one is flipped, the smallest first.
+
+    Height, width and area are expected to change as :func:`.mechanics.adjoint.flip_changes` says; all else, to stay.
+    """
+    shape, mirror = describe(result), mirror_columns(label)
+    stays = [miss for name, miss in errors(targets, shape).items() if name not in SCALARS]
+    expected = np.full(len(pixels), max(stays, default=0.0))
+    for name in (name for name in targets.asked if name in SCALARS):
+        change = flip_changes(label, sensitivities(result, name))
+        if symmetric:  # of both pixels; one in the middle is its own mirror image
+            change = change + np.where(mirror == np.arange(FRAME), 0, change[:, mirror.clip(0, FRAME - 1)])
+        reached = shape.vector(name) + change[tuple(pixels.T)]
+        expected = np.maximum(expected, np.abs(reached / targets.vector(name) - 1))
+    return pixels[np.argsort(expected, kind="stable")]
+
+
+def border(label):
+    """(k, 2) rows and columns of the pixels on either side of the border of the cavity."""
+    void = label == VOID
+    return np.argwhere(ndimage.binary_dilation(void, CROSS) & ~ndimage.binary_erosion(void, CROSS))
+
+
+def with_flipped(label, row, column, symmetric=False):
+    """The cavity of a structure, (28, 28) bool, with one pixel flipped; where `symmetric`, with its mirror image."""
+    void = label == VOID
+    mirror = mirror_columns(label)[column] if symmetric else column
+    void[row, [column, mirror]] = not void[row, column]
+    return void
+
+
+def mirror_columns(label):
+    """(28,) the column that each column of a structure changes places with when it is mirrored where it stands."""
+    columns = np.flatnonzero(np.any(label != OUTSIDE, axis=0))
+    return columns[0] + columns[-1] - np.arange(FRAME)

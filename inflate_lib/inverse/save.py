@@ -1,0 +1,335 @@
+"""What a design is handed out as: pictures, an outline to cut, solids to print, files for ParaView and MOOSE, a record.
+
+The solids and the outline are the very pixels that were simulated, in millimetres. Where two wall pixels share a corner
+only, and so do the two cavity pixels beside them, no solid exists; there the cavity gets its way, a small notch being
+cut into both walls, since the simulated cavity is one and has one pressure.
+"""
+
+import errno
+import json
+import os
+import platform
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import inflate_lib
+from inflate_lib._provenance import package_versions
+from inflate_lib.io import moose, pictures
+from inflate_lib.io.vtk import write_vtk
+from inflate_lib.mechanics.mesh import boundary_loops
+from inflate_lib.structures.labels import FRAME, OUTSIDE, WALL
+
+SIZE_MM, DEPTH_MM, BASE_MM = 100.0, 20.0, 3.0
+NOTCH = 0.05  # pixels
+
+
+def save_designs(designs, folder, size_mm=SIZE_MM, depth_mm=DEPTH_MM, overwrite=False):
+    """Write a contact sheet, a table and a folder for each design.
+
+    Everything is written beside `folder` first and moved there when it is whole.
+
+    ``contact_sheet.png``, ``designs.csv``, ``designs.json`` (the search), and in ``design_01``, …: ``structure.png``
+    (28 × 28, what ``inflate simulate`` reads), ``picture.png``, ``outline.svg`` (mm), ``mould.stl`` (a tray in which
+    the structure is cast) and ``part.stl`` (the structure itself), ``inflated.pvd`` with its series, ``moose/``, and
+    ``design.json`` with seed and provenance.
+
+    Parameters
+    ----------
+    designs : Designs
+    folder : path_like
+        Must not exist yet, or be empty, unless `overwrite`.
+    size_mm, depth_mm : float
+        Side of the frame, and thickness of the structure out of the plane, in millimetres.
+
+    Returns
+    -------
+    list of Path
+        The contact sheet, the table, and the folder of each design.
+
+    Raises
+    ------
+    ValueError
+        For sizes that are none, and where there is nothing to write.
+    OSError
+        Where the folder is there already, or cannot be written; then nothing is left behind.
+    """
+    import matplotlib.pyplot as plt
+
+    from inflate_lib.plotting.designs import plot_designs
+
+    check_sizes(size_mm=size_mm, depth_mm=depth_mm)
+    if not designs.designs:
+        raise ValueError("there is no design to write: no candidate was a structure")
+    folder = check_folder(folder, overwrite)
+    with _whole_or_nothing(folder) as draft:
+        names = [f"design_{number:02d}" for number in range(1, len(designs.designs) + 1)]
+        for name, one in zip(names, designs.designs, strict=True):
+            _write_design(one, draft / name, name, designs, size_mm, depth_mm)
+        fig = plot_designs(designs)
+        try:
+            fig.savefig(draft / "contact_sheet.png")
+        finally:
+            plt.close(fig)
+        designs.table().to_csv(draft / "designs.csv", index=False, float_format="%.8g")
+        _write_json(draft / "designs.json", search_record(designs))
+    return [folder / name for name in ("contact_sheet.png", "designs.csv", *names)]
+
+
+def check_sizes(**sizes):
+    """Raise a ValueError where one of the sizes, by name, is no length."""
+    for name, value in sizes.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
+            raise ValueError(f"{name} must be a positive number of millimetres, not {value!r}")
+
+
+def check_folder(folder, overwrite=False):
+    """`folder` as a Path, or an OSError where designs cannot be written there."""
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise FileExistsError(errno.EEXIST, "there is a file of this name; give a folder", str(folder))
+    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+        raise FileExistsError(errno.EEXIST, "the folder is not empty; give another one or --overwrite", str(folder))
+    return folder
+
+
+def search_record(designs):
+    """The search in plain values: targets, constraints, model, sampling, versions, counts; no times, no dates."""
+    return {
+        "targets": designs.targets.as_dict(),
+        "constraints": designs.constraints.as_dict(),
+        "tolerance": designs.tolerance,
+        "prefer": designs.prefer,
+        "asked": designs.asked,
+        "found": sum(one.within for one in designs.designs),
+        "within_tolerance": designs.within,
+        "refined": designs.refined,
+        "candidates": designs.tried,
+        "rejected": dict(designs.rejected),
+        "stopped": designs.stopped,
+        "seed": designs.seed,
+        "model": designs.model,
+        "sampling": designs.sampling,
+        "versions": {
+            "inflate_lib": inflate_lib.__version__,
+            "python": platform.python_version(),
+            **package_versions(),
+        },
+    }
+
+
+def outline_svg(label, size_mm=SIZE_MM):
+    """SVG text of a structure's outline: one path for the wall, its cavity cut out; user units are millimetres."""
+    x, y, cells = opened_grid(label)
+    corners, quads = _corners(x, y), _quads(cells == WALL)
+    points = size_mm * (corners * [1, -1] + [0, 1])  # y downwards
+    parts = []
+    for loop in boundary_loops(quads):
+        corner = _turns(points[loop])
+        parts.append("M " + " L ".join(f"{a:.6g},{b:.6g}" for a, b in points[loop][corner]) + " Z")
+    size = f"{size_mm:.6g}"
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{size}mm" height="{size}mm" viewBox="0 0 {size} {size}">\n'
+        f'<path d="{" ".join(parts)}" fill="#0072B2" fill-rule="evenodd" stroke="none"/>\n</svg>\n'
+    )
+
+
+def mould(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM, base_mm=BASE_MM):
+    """The tray in which a structure is cast, as a closed surface: the wall is its trough, the cavity a core in it.
+
+    Returns
+    -------
+    points : (n, 3) float, mm
+    triangles : (m, 3) int, counter-clockwise seen from outside
+    """
+    x, y, cells = opened_grid(np.pad(label, 1))  # a rim of one pixel, so that the trough is closed on every side
+    scale = size_mm * (FRAME + 2) / FRAME
+    height = np.where(cells == WALL, base_mm, base_mm + depth_mm)
+    return solid(scale * x - size_mm / FRAME, scale * y - size_mm / FRAME, height)
+
+
+def part(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM):
+    """The structure itself, its wall extruded, as a closed surface; see :func:`mould`."""
+    x, y, cells = opened_grid(label)
+    return solid(size_mm * x, size_mm * y, np.where(cells == WALL, depth_mm, 0.0))
+
+
+def opened_grid(label):
+    """Grid lines x and y in [0, 1] and the labels of the cells between them, no two cells meeting at a corner only.
+
+    The cells are the pixels, unless there are wall pixels that share a corner only: there four lines more make room
+    for notches.
+
+    Returns
+    -------
+    x, y : (a,), (b,) float, rising
+    cells : (b − 1, a − 1) float, the first row being the lowest
+    """
+    size = len(label)
+    cells = np.array(label, dtype=float)[::-1]
+    wall = cells == WALL
+    a, b, c, d = wall[:-1, :-1], wall[:-1, 1:], wall[1:, :-1], wall[1:, 1:]
+    pinched = np.argwhere((a == d) & (b == c) & (a != b)) + 1  # lattice points (row, column)
+    lines = [
+        np.unique(np.r_[0 : size + 1, points - NOTCH, points + NOTCH]) for points in (pinched[:, 1], pinched[:, 0])
+    ]
+    x, y = lines
+    middle_x, middle_y = (x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2
+    cells = cells[np.ix_(middle_y.astype(int), middle_x.astype(int))]
+    beside = {tuple(point): label_there for point, label_there in _not_wall(label, pinched)}
+    for (row, column), other in beside.items():
+        near = np.ix_(np.abs(middle_y - row) < NOTCH, np.abs(middle_x - column) < NOTCH)
+        cells[near] = other
+    return x / size, y / size, cells
+
+
+def solid(x, y, height):
+    """Closed surface of columns on the cells of a grid.
+
+    Parameters
+    ----------
+    x, y : (a,), (b,) float
+        Grid lines.
+    height : (b − 1, a − 1) float
+        Of each column; 0 for none. At most two heights besides may occur, and no two cells of one height may meet at a
+        corner only.
+
+    Returns
+    -------
+    points : (n, 3) float
+    triangles : (m, 3) int, counter-clockwise seen from outside
+    """
+    corners = _corners(x, y)
+    levels = np.unique(np.append(height, 0.0))
+    points = np.concatenate([np.column_stack([corners, np.full(len(corners), z)]) for z in levels])
+    there = height > 0
+    base = _quads(there)
+    top = base + np.searchsorted(levels, height[there])[:, None] * len(corners)
+    quads = [base[:, ::-1], top]
+    grid = np.pad(height, 1)
+    nodes = np.arange(len(corners)).reshape(len(y), len(x))
+    # Across each inner or outer edge of the grid: the lower and the upper height make an upright face, if they differ.
+    for here, beyond, start, end in (
+        (grid[1:-1, :-1], grid[1:-1, 1:], nodes[:-1], nodes[1:]),  # from left to right across upright edges
+        (grid[1:, 1:-1], grid[:-1, 1:-1], nodes[:, :-1], nodes[:, 1:]),  # from above to below across level edges
+    ):
+        for lower, upper, first, second in ((beyond, here, start, end), (here, beyond, end, start)):
+            face = upper > lower
+            low, high = (np.searchsorted(levels, z[face]) * len(corners) for z in (lower, upper))
+            quads.append(
+                np.column_stack([first[face] + low, second[face] + low, second[face] + high, first[face] + high])
+            )
+    quads = np.concatenate(quads)
+    used, numbers = np.unique(quads, return_inverse=True)
+    quads = numbers.reshape(quads.shape)
+    return points[used], np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def write_stl(path, points, triangles):
+    """Write a surface as binary STL, in the unit of its points."""
+    import meshio
+
+    meshio.Mesh(points, [("triangle", triangles)]).write(path, file_format="stl", binary=True)
+
+
+def _write_design(one, folder, name, designs, size_mm, depth_mm):
+    folder.mkdir()
+    Image.fromarray(np.round(254 * one.label).astype(np.uint8)).save(folder / "structure.png")
+    pictures.write_picture(one.result, folder / "picture.png")
+    (folder / "outline.svg").write_text(outline_svg(one.label, size_mm), encoding="utf-8")
+    write_stl(folder / "mould.stl", *mould(one.label, size_mm, depth_mm))
+    write_stl(folder / "part.stl", *part(one.label, size_mm, depth_mm))
+    write_vtk(one.result, folder / "inflated.pvd")
+    moose.write_case(one.result.mesh, folder / "moose", name)
+    shape = one.shape
+    achieved = {"height": shape.height, "width": shape.width, "area": shape.hull_area}
+    record = {
+        "achieved": achieved | {"axis": shape.medial_axis.tolist()},
+        "errors": one.errors,
+        "within_tolerance": bool(one.within),
+        "peak_von_mises_stress": one.shape.peak_stress,
+        "largest_principal_stretch": one.shape.peak_stretch,
+        "candidate": one.candidate,
+        "origin": one.origin,
+        "millimetres": {"frame": size_mm, "depth": depth_mm, "base of the mould": BASE_MM},
+        "search": search_record(designs),
+    }
+    _write_json(folder / "design.json", record)
+
+
+def _write_json(path, record):
+    path.write_text(json.dumps(_without_nan(record), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _without_nan(value):
+    """The value with null for what is NaN or infinite, which JSON does not know."""
+    if isinstance(value, dict):
+        return {name: _without_nan(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(entry) for entry in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+@contextmanager
+def _whole_or_nothing(folder):
+    """A draft folder that takes the place of `folder` at the end, and goes away where there is none."""
+    folder = folder.absolute()
+    draft = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        for left in folder.parent.glob(f".{folder.name}.*.partial"):  # of a run that was killed
+            if not _runs(left.name.split(".")[-2]):
+                shutil.rmtree(left, ignore_errors=True)
+        draft.mkdir()
+        yield draft
+        before = draft.with_suffix(".old.partial")
+        if folder.exists():
+            os.replace(folder, before)
+        os.replace(draft, folder)
+        shutil.rmtree(before, ignore_errors=True)
+    except OSError as error:
+        reason = f"{error.strerror or error}; no designs were written: make room, or give another folder"
+        raise OSError(error.errno, reason, str(folder)) from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _runs(number):
+    """Whether a process of this number is alive."""
+    try:
+        os.kill(int(number), 0)
+    except PermissionError:
+        return True
+    except (OSError, ValueError, OverflowError):
+        return False
+    return True
+
+
+def _not_wall(label, pinched):
+    """Each pinched lattice point (row from below, column) with the label of the pixels that are no wall there."""
+    cells = np.asarray(label)[::-1]
+    for row, column in pinched:
+        around = cells[row - 1 : row + 1, column - 1 : column + 1]
+        yield (row, column), around[around != WALL].max(initial=OUTSIDE)
+
+
+def _corners(x, y):
+    """(a b, 2) the points of a grid, row by row."""
+    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+
+
+def _quads(chosen):
+    """(m, 4) corners of the chosen cells of a grid, (b − 1, a − 1) bool, counter-clockwise."""
+    row, column = np.nonzero(chosen)
+    per_row = chosen.shape[1] + 1
+    lower_left = row * per_row + column
+    return lower_left[:, None] + np.array([0, 1, per_row + 1, per_row])
+
+
+def _turns(points):
+    """Which points of a closed polygon are corners, not on the way from the one before to the one after."""
+    before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
+    return np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]) > 1e-12

@@ -1,0 +1,415 @@
+"""Inverse design: targets and constraints in; several different structures, each verified by inflating it, out.
+
+A model draws candidates in batches. Every one is labelled, inflated and described like the training data; what a
+constraint forbids is rejected and counted; near misses are refined pixel by pixel; what is within the tolerance of all
+targets is kept, until there are enough to choose from or the time or the candidates are used up. From those a diverse
+set is chosen.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed
+
+from inflate_lib import paths
+from inflate_lib.book.profiles import load_profile
+from inflate_lib.datasets.simulate import simulated_sevens
+from inflate_lib.descriptors import JOINT, PARTS, PHYSICAL, Descriptors, describe
+from inflate_lib.diffusion import TrainedModel, generate
+from inflate_lib.diffusion._storage import fingerprint
+from inflate_lib.inverse.constraints import Constraints, mirrored
+from inflate_lib.inverse.refine import attempt
+from inflate_lib.inverse.refine import refine as refine_structure
+from inflate_lib.inverse.targets import Targets, as_targets, check_reach, errors
+from inflate_lib.mechanics.inflation import Inflation
+from inflate_lib.models.weights import trained_models
+from inflate_lib.structures.labels import FRAME, OUTSIDE
+
+PREFERENCES = ("low-stress", "high-stress")
+SAMPLING = {"sampler": "ddim", "steps": 25, "eta": 1.0, "guidance": 3.0}
+BATCH = 64  # candidates
+NEAR, INSIDE = 3, 0.5  # misses of up to 3 times the tolerance are refined, until they are at half of it
+SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
+#: Models by what they are conditioned on, the most telling first; "joint" takes any combination, NaN where not asked.
+MODELS = {JOINT: (), "axis": ("axis",), "box": ("height", "width"), "area": ("area",)}
+MODELS |= {"width": ("width",), "height": ("height",)}
+WEIGHTS = ("paper", "laptop", "ci")  # folders of data/pretrained, in the order in which they are looked into
+
+
+@dataclass(frozen=True)
+class Design:
+    """One structure that was made to targets, inflated and measured.
+
+    Attributes
+    ----------
+    label : (28, 28) float
+    result : Inflation
+    shape : Descriptors
+    errors : dict
+        Relative error of each target, see :func:`inflate_lib.inverse.targets.errors`.
+    within : bool
+        All of them are within the tolerance.
+    candidate : int
+        Its number among all candidates.
+    origin : dict
+        How to draw it again: the seed and the conditions of its batch, its row there, and what was done to the drawing
+        (halves mirrored; pixels flipped, one after another).
+    """
+
+    label: np.ndarray
+    result: Inflation
+    shape: Descriptors
+    errors: dict
+    within: bool
+    candidate: int
+    origin: dict
+
+    @property
+    def error(self):
+        """The largest of the relative errors."""
+        return max(self.errors.values())
+
+
+@dataclass
+class Designs:
+    """What :func:`design` found, and an account of the search."""
+
+    designs: list  # the chosen ones
+    pool: list  # every candidate within the tolerance, the best first; :func:`choose` makes another choice from them
+    targets: Targets
+    constraints: Constraints
+    tolerance: float
+    asked: int
+    prefer: str | None
+    seed: int
+    model: dict  # descriptor, digest of the weights, profile, source
+    sampling: dict
+    tried: int = 0
+    refined: int = 0  # misses that came within the tolerance by flipping pixels
+    rejected: Counter = field(default_factory=Counter)  # reason → candidates
+    seconds: dict = field(default_factory=dict)  # generating, inflating, all
+    stopped: str = ""
+
+    @property
+    def within(self):
+        """Number of candidates within the tolerance."""
+        return len(self.pool)
+
+    def table(self):
+        """A row per design: errors in percent, descriptors, peaks."""
+        rows = []
+        for number, one in enumerate(self.designs, start=1):
+            row = {"design": number, "within": one.within}
+            row |= {f"error {name} (%)": 100 * value for name, value in one.errors.items()}
+            row |= {"height": one.shape.height, "width": one.shape.width, "area": one.shape.hull_area}
+            rows.append(row | {"peak stress": one.shape.peak_stress, "peak stretch": one.shape.peak_stretch})
+        names = [f"error {name} (%)" for name in self.targets.asked]
+        columns = ["design", "within", *names, "height", "width", "area", "peak stress", "peak stretch"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def summary(self):
+        """The account in a few lines."""
+        good = sum(one.within for one in self.designs)
+        lines = [
+            f"{good} of {self.asked} designs within {self.tolerance:.2g} of every target, chosen from {self.within}; "
+            f"{self.tried} candidates, {self.stopped}"
+        ]
+        if good < len(self.designs):
+            lines.append(f"the other {len(self.designs) - good} are the nearest misses, and are marked so")
+        if self.refined:
+            lines.append(f"{self.refined} of the {self.within} were near misses, refined pixel by pixel")
+        if self.rejected:
+            lines.append("rejected: " + ", ".join(f"{n} {reason}" for reason, n in self.rejected.most_common()))
+        if self.designs:
+            lines.append(f"median of the largest errors {100 * np.median([one.error for one in self.designs]):.2f} %")
+        times = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
+        return "\n".join([*lines, times])
+
+
+def design(
+    targets: Targets | Mapping,
+    n: int = 12,
+    *,
+    model: tuple[str, TrainedModel] | None = None,
+    profile: str | None = None,
+    data=None,
+    constraints: Constraints | None = None,
+    tolerance: float = 0.01,
+    prefer: str | None = None,
+    seed: int = 0,
+    seconds: float = 90.0,
+    max_candidates: int = 4096,
+    refine: int = 60,
+    sampling: Mapping | None = None,
+    n_jobs: int = -1,
+    say: Callable | None = print,
+) -> Designs:
+    """Find `n` different structures that inflate to the targets.
+
+    Parameters
+    ----------
+    targets : Targets or Mapping
+        Any of height, width, area, axis, stress, stretch; or an outline. See
+        :func:`inflate_lib.inverse.targets.as_targets`.
+    n : int
+        Number of designs.
+    model : (str, TrainedModel), optional
+        What it is conditioned on ("joint", "axis", "box", …), and the model. By default :func:`find_model`.
+    profile : str, optional
+        Take the weights of this profile only.
+    data : xarray.Dataset, optional
+        Simulated structures, which say what can be reached. By default those of the source the model was trained on.
+    constraints : Constraints, optional
+    tolerance : float
+        Largest relative error of every target.
+    prefer : {"low-stress", "high-stress"}, optional
+        Choose among those within the tolerance by the peak of the von Mises stress; so many more are looked for.
+    seed : int
+        Of the noise. With `max_candidates` and without a limit of time the result depends on nothing else.
+    seconds, max_candidates
+        Limits of the search; the batch at hand is finished.
+    refine : int
+        Inflations that may be spent on bringing each near miss nearer, pixel by pixel, see
+        :func:`inflate_lib.inverse.refine.refine`; 0 for none.
+    sampling : Mapping, optional
+        Options of :func:`inflate_lib.diffusion.generate`.
+    n_jobs : int
+        Threads that inflate.
+    say : callable, optional
+        Takes lines of progress; None for none.
+
+    Returns
+    -------
+    Designs
+        Ordered by their largest error; with `prefer`, by stress. Where fewer than `n` are within the tolerance, the
+        nearest misses fill up, marked by ``within = False``. It may be empty, where no candidate is a structure.
+
+    Raises
+    ------
+    ValueError
+        For targets that contradict each other or the constraints or are out of reach, and arguments out of range.
+    """
+    targets, constraints, sampling = as_targets(targets), constraints or Constraints(), dict(sampling or SAMPLING)
+    _check(n, tolerance, prefer, seed, seconds, max_candidates, refine)
+    _check_symmetric(targets, constraints, tolerance)
+    name, model = model or find_model(targets, profile)
+    _check_model(name, model, targets)
+    if data is None:
+        data = simulated_sevens(model.metadata.get("source", "auto"))
+    check_reach(targets, data)
+    found = Designs([], [], targets, constraints, tolerance, n, prefer, seed, _about(name, model), sampling)
+    wanted, best, seen, clock = targets.vector(name), [], set(), Counter()
+    aim = np.clip(wanted, model.condition_min, model.condition_max)
+    enough = n * SURPLUS * (2 if prefer else 1)
+    started, longest = time.monotonic(), 0.0
+    while not found.stopped:
+        begun = time.monotonic()
+        size = min(BATCH, max_candidates - found.tried)
+        batch = {"seed": int(np.random.SeedSequence([seed, found.tried]).generate_state(1)[0])}
+        batch |= {"first": found.tried, "size": size, "conditions": aim.tolist()}
+        images = generate(model, np.tile(aim, (size, 1)), seed=batch["seed"], **sampling)
+        drawn = time.monotonic()
+        new = _verified(images, batch, found, seen, n_jobs)
+        found.tried += size
+        if new:
+            aim = corrected(aim, wanted, [one.shape.vector(name) for one in new], model)
+        new = _refined(new, found, seen, refine, n_jobs)
+        now = time.monotonic()
+        clock += Counter(generating=drawn - begun, inflating=now - drawn)
+        longest = max(longest, now - begun)
+        best = sorted([*best, *new], key=lambda one: (one.error, one.candidate))
+        found.pool = [one for one in best if one.within]
+        best = best[: found.within + n]  # of the misses only the nearest
+        if say:
+            nearest = f", the best misses by {100 * best[0].error:.2f} %" if best else ""
+            say(f"{now - started:.0f} s: {found.within} within {tolerance:.2g} among {found.tried} candidates{nearest}")
+        if found.within >= enough:
+            found.stopped = "enough to choose from"
+        elif found.tried >= max_candidates:
+            found.stopped = "which is as many as were allowed"
+        elif now - started + longest > seconds:
+            found.stopped = f"then the time of {seconds:g} s was up"
+    found.designs = choose(best, n, prefer)
+    found.seconds = {**clock, "all": time.monotonic() - started}
+    return found
+
+
+def find_model(targets, profile=None):
+    """Name and model to design with.
+
+    That is the model of a single descriptor, or of the box, that takes most of what is asked: the rest hangs together
+    with it, and choice and refinement see to what does not. The joint model is for what no other takes, a stress or a
+    stretch (``benchmarks/joint.py`` measures both on the same targets). Committed weights come first, the best ones of
+    ``data/pretrained`` or those of `profile`; else the model of the profile (``ci`` by default) is found in the cache
+    or trained.
+
+    Raises
+    ------
+    ValueError
+        Where stress or stretch is asked for, which the joint model alone takes, and it is not there.
+    """
+    asked = set(targets.asked)
+    singles = [name for name, takes in MODELS.items() if takes and set(takes) <= asked]
+    fitting = [JOINT] if asked & set(PHYSICAL) else [*singles, JOINT]
+    for folder in (profile,) if profile else WEIGHTS:
+        for name in fitting:
+            if (path := paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
+                return name, TrainedModel.load(path)
+    if fitting == [JOINT]:
+        raise _no_joint_model(targets)
+    single = singles[0]
+    given = load_profile(profile or WEIGHTS[-1]).parameters(paths.NOTEBOOKS / "08_training.md")
+    data = simulated_sevens(given["source"], given["n_structures"] or None)
+    return single, trained_models([single], given["training"], data, given["n_augmented"], given["seed"])[single]
+
+
+def corrected(aim, wanted, achieved, model):
+    """Conditions for the next batch: moved against the median miss of this one, so that the middle of the next hits.
+
+    Kept within the range that the model was trained on.
+    """
+    miss = np.median(achieved, axis=0) - wanted
+    return np.clip(aim - miss, model.condition_min, model.condition_max)
+
+
+def choose(pool, n, prefer=None):
+    """`n` designs of a pool in the order of their error: as different as can be among those within the tolerance.
+
+    With `prefer`, among the half of those with the lowest (highest) stress, in the order of stress.
+    """
+    within = [one for one in pool if one.within]
+    if prefer:
+        within.sort(key=lambda one: one.shape.peak_stress, reverse=prefer == "high-stress")
+        within = within[: max(n, len(within) // 2)]
+    chosen = [within[i] for i in diverse([one.label for one in within], n)]
+    if prefer:
+        chosen.sort(key=lambda one: one.shape.peak_stress, reverse=prefer == "high-stress")
+    else:
+        chosen.sort(key=lambda one: one.error)
+    return chosen + [one for one in pool if not one.within][: n - len(chosen)]
+
+
+def diverse(labels, n):
+    """Row numbers of `n` label images that differ from one another (greedy max–min), the first image among them.
+
+    Two images differ by the share of the pixels of both, middle laid on middle, that are not the same.
+    """
+    if not labels:
+        return []
+    aligned = np.array([_aligned(label) for label in labels])
+    nearest, chosen = np.full(len(labels), np.inf), [0]
+    while len(chosen) < min(n, len(labels)):
+        differ = (aligned != aligned[chosen[-1]]).sum(axis=(1, 2))
+        either = ((aligned != OUTSIDE) | (aligned[chosen[-1]] != OUTSIDE)).sum(axis=(1, 2))
+        nearest = np.minimum(nearest, differ / either)
+        nearest[chosen] = -1
+        chosen.append(int(nearest.argmax()))
+    return chosen
+
+
+def _verified(images, batch, found, seen, n_jobs):
+    """The designs among the images of a batch; what is none is counted in ``found.rejected``."""
+    drawings = [(row, "as drawn", image) for row, image in enumerate(images)]
+    if found.constraints.symmetric:
+        kinds = ("left half", "right half", "both halves")
+        drawings = [(row, *half) for row, _, image in drawings for half in zip(kinds, mirrored(image), strict=False)]
+    attempts = Parallel(n_jobs=n_jobs, backend="threading")(
+        delayed(attempt)(image, found.constraints) for _, _, image in drawings
+    )
+    designs = []
+    for (row, kind, _), (reason, label, result) in zip(drawings, attempts, strict=True):
+        key = None if reason else _aligned(label).tobytes()
+        if reason or key in seen:
+            found.rejected[reason or "the same as another"] += 1
+            continue
+        seen.add(key)
+        designs.append(_measured(label, result, found, batch["first"] + row, batch | {"row": row, "drawing": kind}))
+    return designs
+
+
+def _measured(label, result, found, candidate, origin):
+    """A design from a structure and its inflation."""
+    shape = describe(result)
+    miss = errors(found.targets, shape)
+    return Design(label, result, shape, miss, max(miss.values()) <= found.tolerance, candidate, origin)
+
+
+def _refined(designs, found, seen, tries, n_jobs):
+    """The same designs, near misses brought nearer by :func:`inflate_lib.inverse.refine.refine`."""
+    near = [one for one in designs if found.tolerance < one.error <= NEAR * found.tolerance] if tries else []
+    goal = found.tolerance * INSIDE
+    done = Parallel(n_jobs=n_jobs, backend="threading")(
+        delayed(refine_structure)(
+            one.label, one.result, found.targets, found.constraints, goal, tries, [one.origin["seed"], one.candidate]
+        )
+        for one in near
+    )
+    better = {}
+    for one, (label, result, flipped) in zip(near, done, strict=True):
+        if not flipped or (key := _aligned(label).tobytes()) in seen:
+            continue
+        seen.add(key)
+        better[id(one)] = _measured(label, result, found, one.candidate, one.origin | {"flipped": flipped})
+    found.refined += sum(one.within for one in better.values())
+    return [better.get(id(one), one) for one in designs]
+
+
+def _aligned(label):
+    """A label image with its middle column in the middle of the frame: the same structure elsewhere looks the same."""
+    columns = np.flatnonzero(np.any(label != OUTSIDE, axis=0))
+    return np.roll(label, (FRAME - 1 - columns[0] - columns[-1]) // 2, axis=1)
+
+
+def _about(name, model):
+    weights = [value.cpu().numpy() for _, value in sorted(model.net.state_dict().items())]
+    about = {"descriptor": name, "weights": fingerprint(*weights, model.condition_min, model.condition_max)}
+    return about | {key: model.metadata[key] for key in ("profile", "source", "pairs") if key in model.metadata}
+
+
+def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
+    whole = (("n", n, 1), ("seed", seed, 0), ("max_candidates", max_candidates, 1), ("refine", refine, 0))
+    for name, value, least in whole:
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise ValueError(f"{name} must be a whole number of at least {least}, not {value!r}")
+    for name, value in (("tolerance", tolerance), ("seconds", seconds)):
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not value > 0:
+            raise ValueError(f"{name} must be a positive number, not {value!r}")
+    if prefer is not None and prefer not in PREFERENCES:
+        raise ValueError(f"prefer must be one of {', '.join(PREFERENCES)}, not {prefer!r}")
+
+
+def _check_model(name, model, targets):
+    """Whether a model can be told the targets."""
+    if name != JOINT and set(PHYSICAL) & set(targets.asked):
+        raise _no_joint_model(targets)
+    if name == JOINT and model.config.parts != tuple(PARTS.values()):
+        raise ValueError(
+            f"the joint model was trained for parts of lengths {model.config.parts}, and {', '.join(PARTS)} have "
+            f"{tuple(PARTS.values())}: train it again (inflate train --descriptor joint)"
+        )
+
+
+def _no_joint_model(targets):
+    physical = " and ".join(name for name in PHYSICAL if name in targets.asked)
+    return ValueError(
+        f"{physical} can be asked of the joint model only, and its weights are not there: train it (inflate train "
+        f"--descriptor joint --profile laptop --out data/pretrained/laptop), or leave {physical} out and choose among "
+        "the designs for the other targets (--prefer low-stress or high-stress)"
+    )
+
+
+def _check_symmetric(targets, constraints, tolerance):
+    """A structure that is its own mirror image has a straight axis."""
+    if not constraints.symmetric or targets.axis is None:
+        return
+    straight = targets.axis * [0, 1]
+    lean = np.linalg.norm(targets.axis - straight, axis=1).mean() / targets.vector("height")[0]
+    if lean > tolerance:
+        raise ValueError(
+            f"a symmetric structure has a straight upright axis, and the axis asked for leans by {lean:.3f} of its "
+            "height: leave out --symmetric or straighten the axis"
+        )

@@ -1,0 +1,316 @@
+"""What a design is asked for: numbers, a medial axis from a file, or a drawn outline; and whether it can be had.
+
+Targets are descriptors of the inflated shape (:mod:`inflate_lib.descriptors`), in lengths of the unit square. Whatever
+contradicts itself is refused, and so is what no structure of the data set comes near.
+"""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, PHYSICAL, describe, descriptor_matrix
+from inflate_lib.inverse.drawings import read_outline
+from inflate_lib.mechanics import contact
+
+SHAPE = ("height", "width", "area")
+SCALARS = (*SHAPE, *PHYSICAL)
+AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
+REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Wanted descriptors of the inflated shape; None where any will do.
+
+    Attributes
+    ----------
+    height, width, area : float, optional
+        Area is that of the convex hull. In lengths and areas of the unit square.
+    stress, stretch : float, optional
+        Peak von Mises stress, in the units of λ and μ, and largest principal stretch, at least 1, as in
+        :func:`inflate_lib.mechanics.stress.peaks`.
+    axis : (30, 2) float, optional
+        Medial axis, the first point at the origin.
+    outline : (k, 2) float, optional
+        The drawing that the others were measured on, to be shown; its lowest point is at y = 0.
+    """
+
+    height: float | None = None
+    width: float | None = None
+    area: float | None = None
+    axis: np.ndarray | None = None
+    outline: np.ndarray | None = None
+    stress: float | None = None
+    stretch: float | None = None
+
+    def __post_init__(self):
+        for name in SCALARS:
+            value = getattr(self, name)
+            if value is None:
+                continue
+            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not number or not 0 < value < np.inf:
+                raise ValueError(f"{name} must be a positive number, not {value!r}")
+            object.__setattr__(self, name, float(value))
+        if self.stretch is not None and self.stretch < 1:
+            raise ValueError(f"stretch is the largest ratio of lengths, at least 1, not {self.stretch:g}")
+        if self.axis is not None:
+            object.__setattr__(self, "axis", check_axis(self.axis))
+        if not self.asked:
+            raise ValueError(f"nothing is asked for: give {', '.join(SCALARS)}, an axis or an outline, one at least")
+
+    @property
+    def asked(self):
+        """Names of the descriptors that are asked for: "height", "width", "area", "stress", "stretch", "axis"."""
+        return tuple(name for name in (*SCALARS, "axis") if getattr(self, name) is not None)
+
+    def vector(self, name):
+        """(N,) the target of one descriptor, NaN where it is not asked for; an axis says what the height is."""
+        if name in ("box", JOINT):
+            return np.concatenate([self.vector(part) for part in (PARTS if name == JOINT else ("height", "width"))])
+        if name == "height" and self.height is None and self.axis is not None:
+            return np.array([axis_height(self.axis)])
+        value = getattr(self, name)
+        return np.full(PARTS[name], np.nan) if value is None else np.ravel(value)
+
+    def as_dict(self):
+        """Plain numbers for JSON, of what is asked for."""
+        return {name: np.asarray(getattr(self, name)).tolist() for name in self.asked}
+
+
+def as_targets(targets):
+    """`targets` as :class:`Targets`: one already, or a mapping from descriptor to value.
+
+    Parameters
+    ----------
+    targets : Targets or Mapping
+        Keys "height", "width", "area", "axis" (30 points, or a polyline from the bottom to the top of the shape), and
+        "outline" (corners of a polygon, which gives all four); "stress" and "stretch" go with any of them.
+
+    Raises
+    ------
+    ValueError
+        For an unknown key, or a value that is no target.
+    """
+    if isinstance(targets, Targets):
+        return targets
+    if not isinstance(targets, Mapping):
+        raise ValueError(f"targets must be a mapping such as {{'height': 1.05}}, not {type(targets).__name__}")
+    known = {*SCALARS, "axis", "outline"}
+    if unknown := [name for name in targets if name not in known]:
+        raise ValueError(f"unknown target {unknown[0]!r}; choose among {', '.join(sorted(known))}")
+    given = {name: value for name, value in targets.items() if value is not None}
+    if "outline" not in given:
+        return Targets(**given)
+    physical = {name: given.pop(name) for name in PHYSICAL if name in given}
+    if len(given) > 1:
+        raise ValueError("an outline gives height, width, area and axis: leave the others out")
+    return replace(outline_targets(given["outline"]), **physical)
+
+
+def outline_targets(points):
+    """Targets that a closed outline stands for: its height, width, hull area and medial axis.
+
+    All descriptors look at the convex hull only, so that a dent in the outline is not asked for.
+
+    Parameters
+    ----------
+    points : (k, 2) array_like
+        Corners in order, y upwards, in lengths of the unit square; the last is joined to the first.
+
+    Raises
+    ------
+    ValueError
+        Where it is empty, spans no area, or crosses itself.
+    """
+    points = _points("outline", points)
+    points = points[np.any(points != np.roll(points, 1, axis=0), axis=1)]
+    if len(points) < 3:
+        raise ValueError(f"outline: it is empty; {len(points)} distinct points enclose nothing")
+    if _crosses_itself(points):
+        raise ValueError("outline: it crosses itself; draw the border of the inflated shape as one simple closed curve")
+    try:
+        shape = describe(points)
+    except ValueError:
+        raise ValueError("outline: it is empty; its points lie on one line") from None
+    return Targets(shape.height, shape.width, shape.hull_area, shape.medial_axis, points - [0, points[:, 1].min()])
+
+
+def read_targets(height=None, width=None, area=None, axis=None, outline=None, unit=1.0, stress=None, stretch=None):
+    """Targets from numbers and files; None where not asked for. See :func:`read_axis` and :func:`read_outline`.
+
+    Raises
+    ------
+    ValueError
+        Where a file is no such file, where nothing is asked for, or more than an outline leaves open.
+    """
+    given = {"height": height, "width": width, "area": area, "stress": stress, "stretch": stretch}
+    given["axis"] = None if axis is None else read_axis(axis)
+    given["outline"] = None if outline is None else read_outline(outline, unit)
+    try:
+        return as_targets(given)
+    except ValueError as error:
+        where = f"{outline}: " if outline is not None and str(error).startswith("outline") else ""
+        raise ValueError(f"{where}{error}") from None
+
+
+def check_axis(points):
+    """A medial axis (30, 2) from points, or a ValueError.
+
+    Thirty points at equal increments of height are taken as they are (the thirtieth lies one increment below the top,
+    as in :func:`inflate_lib.descriptors.medial_axis`). Any other points are the corners of a line from the bottom of
+    the shape to its top, on which the thirty are placed.
+    """
+    points = _points("axis", points)
+    if len(points) < 2:
+        raise ValueError(f"axis: two points at least are needed, from the bottom to the top, not {len(points)}")
+    rise = np.diff(points[:, 1])
+    if not np.all(rise > 0):
+        row = int(np.argmax(rise <= 0)) + 2
+        raise ValueError(f"axis: its points must rise from the bottom to the top; point {row} does not")
+    points = points - points[0]
+    if len(points) == AXIS_POINTS and np.ptp(rise) <= AGREE * rise.mean():
+        return points
+    y = points[-1, 1] * np.arange(AXIS_POINTS) / AXIS_POINTS
+    return np.column_stack([np.interp(y, points[:, 1], points[:, 0]), y])
+
+
+def axis_height(axis):
+    """Height of the shape that a medial axis (…, 30, 2) belongs to: the axis ends one increment below the top."""
+    return axis[..., -1, 1] * AXIS_POINTS / (AXIS_POINTS - 1)
+
+
+def read_axis(path):
+    """Medial axis (30, 2) from a CSV file: two columns x, y, with or without a heading, in lengths of the unit square.
+
+    Raises
+    ------
+    ValueError
+        Naming the file and the line, where it is something else; see also :func:`check_axis`.
+    """
+    path = Path(path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [(number, row) for number, row in enumerate(csv.reader(file), start=1) if any(map(str.strip, row))]
+    except (OSError, ValueError, csv.Error) as error:
+        raise ValueError(f"{path} cannot be read as a CSV file: {error}") from None
+    if rows and [word.strip().lower() for word in rows[0][1]] == ["x", "y"]:
+        del rows[0]
+    points = []
+    for number, row in rows:
+        try:
+            x, y = (float(word) for word in row)
+        except ValueError:
+            raise ValueError(f"{path}, line {number}: two numbers x,y are needed, not {','.join(row)!r}") from None
+        points.append((x, y))
+    try:
+        return check_axis(np.reshape(points, (-1, 2)))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def errors(targets, shape):
+    """How far a shape misses each target, relative to the target.
+
+    Parameters
+    ----------
+    targets : Targets
+    shape : Descriptors
+
+    Returns
+    -------
+    dict
+        Name → ``|achieved − target| / target``; for the axis the mean distance of its points over the height that
+        the axis belongs to.
+    """
+    return {name: float(relative_misses(name, shape.vector(name), targets.vector(name))) for name in targets.asked}
+
+
+def relative_misses(name, achieved, wanted):
+    """Relative errors of one descriptor's vectors (…, N), as an array (…,); see :func:`errors`."""
+    if name != "axis":
+        return np.abs(achieved[..., 0] / wanted[..., 0] - 1)
+    apart = (achieved - wanted).reshape(*achieved.shape[:-1], -1, 2)
+    return np.linalg.norm(apart, axis=-1).mean(axis=-1) / axis_height(wanted.reshape(*wanted.shape[:-1], -1, 2))
+
+
+def check_reach(targets, data):
+    """Refuse targets that contradict each other, or that no structure of the data set comes near.
+
+    Parameters
+    ----------
+    targets : Targets
+    data : xarray.Dataset
+        Simulated structures, from :func:`inflate_lib.simulate_dataset`.
+
+    Raises
+    ------
+    ValueError
+        With the reachable range and the nearest target within reach.
+    """
+    data = data.isel(structure=np.flatnonzero(data["converged"].values))
+    values = {name: descriptor_matrix(data, name) for name in targets.asked}
+    miss = np.max([relative_misses(name, values[name], targets.vector(name)) for name in targets.asked], axis=0)
+    nearest = int(np.argmin(miss))
+    problem = contradiction(targets)
+    for name in SCALARS:
+        wanted = getattr(targets, name)
+        if not problem and wanted is not None:
+            least, most = values[name].min() * (1 - AGREE), values[name].max() * (1 + AGREE)
+            problem = "" if least <= wanted <= most else f"{name} {wanted:.4g} is out of reach"
+    if not problem and miss[nearest] > REACH:
+        together = "the axis" if targets.asked == ("axis",) else "together they"
+        problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
+    if not problem:
+        return
+    shown = [name for name in SCALARS if name in targets.asked or (name in SHAPE and "axis" in targets.asked)]
+    ranges = {name: descriptor_matrix(data, name) for name in shown}
+    reach = ", ".join(f"{name} {v.min():.3f} to {v.max():.3f}" for name, v in ranges.items())
+    if len(targets.asked) == 1 and targets.asked[0] in SCALARS:
+        (name,) = targets.asked
+        there = f"{name} {np.clip(getattr(targets, name), values[name].min(), values[name].max()):.3f}"
+    else:
+        there = ", ".join(f"{name} {v[nearest, 0]:.3f}" for name, v in ranges.items())
+        if "axis" in targets.asked:
+            lean = np.abs(values["axis"][nearest].reshape(-1, 2)[:, 0]).max()
+            there += f" and an axis that moves {lean:.3f} sideways"
+    raise ValueError(
+        f"{problem}. The {len(miss)} inflated structures of the data set reach {reach}; the nearest reachable target "
+        f"is {there}."
+    )
+
+
+def contradiction(targets):
+    """Why no shape at all can meet the targets, or an empty text."""
+    height, width, area = (targets.vector(name)[0] for name in SHAPE)
+    if targets.axis is not None:
+        if abs(axis_height(targets.axis) / height - 1) > AGREE:
+            return f"height {height:.4g} contradicts the axis, which belongs to height {axis_height(targets.axis):.4g}"
+        if (span := np.ptp(targets.axis[:, 0])) > width:
+            return f"width {width:.4g} contradicts the axis, which alone is {span:.4g} wide"
+    if area > height * width * (1 + AGREE):
+        return f"area {area:.4g} is larger than the box of height {height:.4g} and width {width:.4g}"
+    return ""
+
+
+def _points(name, points):
+    try:
+        points = np.array(points, dtype=float)
+    except (TypeError, ValueError, RuntimeError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"{name}: points of shape (k, 2) are needed")
+    if not np.isfinite(points).all():
+        raise ValueError(f"{name}: some coordinates are NaN or infinite")
+    return points
+
+
+def _crosses_itself(points):
+    """Whether a closed polygon crosses itself, or comes back to a corner."""
+    numbers = np.arange(len(points))
+    if len(np.unique(points, axis=0)) < len(points):
+        return True
+    return bool(contact._count_crossings(points, np.column_stack([numbers, np.roll(numbers, -1)])))

@@ -1,0 +1,252 @@
+"""The same inflation for MOOSE, the engine of the paper: an input file and its mesh, and a run where MOOSE is there.
+
+The input is the paper's model in MOOSE's total Lagrangian system: ``ComputeNeoHookeanStress`` on
+``ComputeLagrangianStrain``, ``Pressure`` on the displaced mesh, plane strain, load steps in time from 0 to 1. MOOSE
+stops at our times whatever it does in between: ``TimeSequenceStepper`` halves a load step that fails, where a constant
+``dt`` would lose step with us. ``stabilize_strain`` is MOOSE's F-bar, the unsymmetric relative of our mean dilatation
+(which scales F₃₃ as well); it is off for plain Q1. So expect the same shapes, not the same digits.
+
+The files are checked by reading them back; they have not been run with MOOSE in this project.
+"""
+
+import os
+import shutil
+import signal
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from inflate_lib.io import _exodus
+from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MAX_HALVINGS, MU, PRESSURE, load_history
+
+#: Programs that contain MOOSE's solid mechanics, in the order in which they are looked for.
+PROGRAMS = ("solid_mechanics-opt", "combined-opt")
+
+_INPUT = """\
+# Inflation of a soft structure: plane strain, neo-Hookean, pressure that follows the wall.
+# Lengths in sides of the unit square that the image fills. Run: solid_mechanics-opt -i {name}.i
+
+[GlobalParams]
+  displacements = 'disp_x disp_y'
+  large_kinematics = true
+  stabilize_strain = {stabilize}
+[]
+
+[Mesh]
+  [wall]
+    type = FileMeshGenerator
+    file = {name}.e
+  []
+[]
+
+[Variables]
+  [disp_x]
+  []
+  [disp_y]
+  []
+[]
+
+[Kernels]
+  [stress_x]
+    type = TotalLagrangianStressDivergence
+    variable = disp_x
+    component = 0
+  []
+  [stress_y]
+    type = TotalLagrangianStressDivergence
+    variable = disp_y
+    component = 1
+  []
+[]
+
+[Materials]
+  [strain]
+    type = ComputeLagrangianStrain
+  []
+  [stress]
+    type = ComputeNeoHookeanStress
+    lambda = {lam!r}
+    mu = {mu!r}
+  []
+[]
+
+[Functions]
+  [inflation]
+    type = PiecewiseLinear
+    x = '0 {times}'
+    y = '0 {pressures}'
+  []
+[]
+
+[BCs]
+  [clamped_x]
+    type = DirichletBC
+    variable = disp_x
+    boundary = {clamped}
+    value = 0
+  []
+  [clamped_y]
+    type = DirichletBC
+    variable = disp_y
+    boundary = {clamped}
+    value = 0
+  []
+  [Pressure]
+    [inside]
+      boundary = {cavity}
+      function = inflation
+      use_displaced_mesh = true
+    []
+  []
+[]
+
+[Preconditioning]
+  [full]
+    type = SMP
+    full = true
+  []
+[]
+
+[Executioner]
+  type = Transient
+  solve_type = NEWTON
+  petsc_options_iname = '-pc_type'
+  petsc_options_value = 'lu'
+  line_search = none
+  automatic_scaling = true
+  nl_rel_tol = 1e-10
+  nl_abs_tol = 1e-12
+  nl_max_its = 40
+  start_time = 0
+  end_time = 1
+  dtmin = {dtmin!r}
+  [TimeStepper]
+    type = TimeSequenceStepper
+    time_sequence = '{times}'
+  []
+[]
+
+[Outputs]
+  [exodus]
+    type = Exodus
+    file_base = {name}_out
+  []
+[]
+"""
+
+
+def input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
+    """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`."""
+    if element not in ELEMENTS:
+        raise ValueError(f"element must be one of {', '.join(ELEMENTS)}, not {element!r}")
+    lam, mu = (float(value) for value in lame)
+    times, pressures = load_history(pressure, n_steps)
+    return _INPUT.format(
+        name=name, stabilize="true" if element == "mean-dilatation" else "false", lam=lam, mu=mu,
+        times=_words(times), pressures=_words(pressures), dtmin=float(times[0]) / 2**MAX_HALVINGS,
+        cavity=_exodus.CAVITY, clamped=_exodus.CLAMPED,
+    )  # fmt: skip
+
+
+def write_case(mesh, folder, name="inflation", **parameters):
+    """Write ``name.i`` and ``name.e`` into a folder.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    folder : path_like
+        Made where it is missing.
+    name : str
+        Letters, digits, dots, hyphens and underscores.
+    parameters
+        ``n_steps``, ``element``, ``pressure``, ``lame``, as :func:`inflate_lib.inflate` takes them.
+
+    Returns
+    -------
+    list of Path
+        The input file and the mesh.
+
+    Raises
+    ------
+    ValueError
+        For a name that MOOSE's input syntax would not take for one word.
+    """
+    if not name or not all(c.isalnum() or c in "._-" for c in name):
+        raise ValueError(f"name: {name!r} must consist of letters, digits, dots, hyphens and underscores")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{name}.i", folder / f"{name}.e"]
+    files[0].write_text(input_text(name, **parameters), encoding="utf-8")
+    _exodus.write_mesh(mesh, files[1])
+    return files
+
+
+def find_program():
+    """Path of a MOOSE program, or a RuntimeError that says which are looked for."""
+    for name in PROGRAMS:
+        if found := shutil.which(name):
+            return found
+    raise RuntimeError(f"MOOSE is not here: neither {' nor '.join(PROGRAMS)} is on the PATH")
+
+
+def run_case(result, input_file, time_limit=600.0):
+    """Run a case and return what MOOSE found as an :class:`Inflation`.
+
+    Parameters
+    ----------
+    result : Inflation
+        Our result of the same case; it lends mesh, load steps and parameters.
+    input_file : path_like
+        From :func:`write_case`.
+    time_limit : float
+        Seconds.
+
+    Returns
+    -------
+    Inflation
+        With MOOSE's displacements; stresses that are asked of it are evaluated with our element. ``factorisations`` is
+        0. ``converged`` is False, with MOOSE's last line as the reason, where a load step is missing.
+
+    Raises
+    ------
+    RuntimeError
+        Where there is no MOOSE, or it wrote no results in time; what it started is ended with it.
+    ValueError
+        Where what it wrote is not what Exodus results of this mesh look like.
+    """
+    input_file = Path(input_file)
+    output = input_file.with_name(f"{input_file.stem}_out.e")
+    output.unlink(missing_ok=True)  # an older run must not pass for this one
+    command = [find_program(), "-i", input_file.name]
+    with subprocess.Popen(
+        command, cwd=input_file.parent, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True, errors="replace", start_new_session=True,
+    ) as process:  # fmt: skip
+        try:
+            text, _ = process.communicate(timeout=time_limit)
+        except BaseException as error:  # out of time, or interrupted
+            os.killpg(process.pid, signal.SIGKILL)  # MOOSE may be a script that started the program proper
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
+            raise RuntimeError(f"MOOSE did not finish {input_file.name} within {time_limit:g} s") from None
+    said = ([line.strip() for line in text.splitlines() if line.strip()] or ["nothing"])[-1]
+    if not output.exists():
+        raise RuntimeError(f"MOOSE wrote no results for {input_file.name} (exit code {process.returncode}): {said}")
+    times, found = _exodus.read_displacement(output, result.nodes)
+    displacement = np.full(result.displacement.shape, np.nan)
+    for step, time in enumerate(result.load_steps):
+        at = np.flatnonzero(np.abs(times - time) < 1e-9)  # MOOSE may have cut a load step into more
+        if not at.size or not np.isfinite(found[at[-1]]).all():
+            break
+        displacement[step] = found[at[-1]]
+    reached = int(np.isfinite(displacement).all(axis=(1, 2)).sum())
+    converged = reached == len(result.load_steps)
+    reason = "" if converged else f"MOOSE reached load step {reached} of {len(result.load_steps)}: {said}"
+    return replace(result, displacement=displacement, converged=converged, reason=reason, factorisations=0)
+
+
+def _words(numbers):
+    """Numbers as MOOSE reads them in quotes, with every digit."""
+    return " ".join(repr(float(number)) for number in numbers)

@@ -1,0 +1,168 @@
+"""From an inflated structure to what mechanicians look at: a picture, an animation, a ParaView series."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from inflate_lib.mechanics import stress
+from inflate_lib.mechanics.stress import QUANTITIES
+from inflate_lib.structures.labels import FRAME
+
+
+def reached_steps(result):
+    """Number of load steps that have an equilibrium; the first ones.
+
+    Raises
+    ------
+    ValueError
+        Where there is none, and so nothing to show.
+    """
+    n = int(np.isfinite(result.displacement).all(axis=(1, 2)).sum())
+    if n == 0:
+        raise ValueError(f"nothing to export: {result.reason}")
+    return n
+
+
+def write_picture(result, path, quantity="von-mises"):
+    """Picture of the undeformed and the deformed structure, coloured by a quantity.
+
+    Parameters
+    ----------
+    result : Inflation
+        At the last load step that has an equilibrium.
+    path : path_like
+        Any format that matplotlib writes, by its suffix.
+    quantity : {"von-mises", "stretch"}
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    ValueError
+        For an unknown quantity or suffix, and where no load step has an equilibrium.
+    """
+    import matplotlib.pyplot as plt
+
+    from inflate_lib.plotting.mechanics import plot_inflation
+
+    steps = reached_steps(result)
+    values, label = _coloured(result, quantity)
+    path = _ready(path)
+    fig = plot_inflation(result, values[1:], label, steps - 1)
+    try:
+        fig.savefig(path)
+    finally:
+        plt.close(fig)
+    return path
+
+
+def write_animation(result, path, quantity="von-mises", frames_per_second=5):
+    """Animated GIF of the load steps, from the undeformed structure to the last equilibrium; same arguments."""
+    import matplotlib.pyplot as plt
+    from matplotlib.animation import PillowWriter
+
+    from inflate_lib.plotting.mechanics import animate_inflation
+
+    steps = reached_steps(result)
+    values, label = _coloured(result, quantity)
+    path = _ready(path, ".gif")
+    fig, animation = animate_inflation(result, values, label, steps)
+    try:
+        animation.save(path, writer=PillowWriter(fps=frames_per_second), dpi=90)
+    finally:
+        plt.close(fig)
+    return path
+
+
+def _coloured(result, quantity):
+    """Values (steps + 1, m) of a quantity, the undeformed state first, and its label."""
+    if quantity not in QUANTITIES:
+        raise ValueError(f"colour must be one of {', '.join(QUANTITIES)}, not {quantity!r}")
+    function, label, at_rest = QUANTITIES[quantity]
+    values = getattr(stress, function)(result)
+    return np.concatenate([np.full_like(values[:1], at_rest), values]), label
+
+
+def _ready(path, *suffixes):
+    """`path` with its folder made; a ValueError where the suffix is another one."""
+    path = Path(path)
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise ValueError(f"{path}: the name must end with {' or '.join(suffixes)}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def read_images(path, resize=False, invert=False):
+    """Images in a file, as (n, 28, 28) uint8 or float, and a note on what was done to them.
+
+    Parameters
+    ----------
+    path : path_like
+        A picture (PNG, …: white structure on black, 8 bits) or ``.npy`` with (28, 28) or (n, 28, 28) numbers.
+    resize : bool
+        Fit a picture of another size into 28 × 28: the longer side to 28 pixels, centred on black.
+    invert : bool
+        For a black structure on white.
+
+    Raises
+    ------
+    ValueError
+        Naming the file, where it cannot be read or has another size and `resize` is off.
+    """
+    path = Path(path)
+    note = ""
+    if path.suffix.lower() == ".npy":
+        try:
+            images = np.load(path, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise ValueError(f"{path} cannot be read as a NumPy array: {_reason(error)}") from None
+        images = images[None] if images.ndim == 2 else images
+        if images.ndim != 3 or images.shape[1:] != (FRAME, FRAME) or not len(images):
+            raise ValueError(f"{path} holds an array of shape {images.shape}, not ({FRAME}, {FRAME}) or a stack")
+    else:
+        picture = read_picture(path)
+        images = np.asarray(picture)[None]
+        if picture.size != (FRAME, FRAME):
+            width, height = picture.size
+            if not resize:
+                raise ValueError(f"{path} is {width} × {height} pixels; {FRAME} × {FRAME} is needed (--resize fits it)")
+            note = f"resized from {width} × {height}"
+    if invert:  # before the frame is filled up with black
+        images = (255 if images.dtype == np.uint8 else 1) - images
+    return (_fitted(images[0])[None], note) if note else (images, note)
+
+
+def read_picture(path):
+    """A picture of any kind as 8-bit grey, a PIL image; a ValueError that names the file where it is none."""
+    try:
+        with Image.open(path) as picture:
+            if picture.mode.startswith(("I", "F")):
+                raise ValueError(f"{path} has more than 8 bits per pixel; convert it to 8-bit grey")
+            if "A" in picture.getbands() or "transparency" in picture.info:
+                raise ValueError(f"{path} is partly transparent; say what is behind it by saving it without alpha")
+            return picture.convert("L")
+    except FileNotFoundError:
+        raise ValueError(f"{path} does not exist") from None
+    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(f"{path} cannot be read as a picture: {_reason(error)}") from None
+
+
+def _fitted(grey):
+    """A grey image in 28 × 28: its longer side scaled to 28 pixels, centred on black."""
+    height, width = grey.shape
+    scale = FRAME / max(height, width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    method = Image.Resampling.BOX if scale < 1 else Image.Resampling.BICUBIC
+    small = np.asarray(Image.fromarray(grey).resize(size, method))
+    fitted = np.zeros((FRAME, FRAME), dtype=np.uint8)
+    top, left = (FRAME - small.shape[0]) // 2, (FRAME - small.shape[1]) // 2
+    fitted[top : top + small.shape[0], left : left + small.shape[1]] = small
+    return fitted
+
+
+def _reason(error):
+    """An error in one line."""
+    return " ".join(str(error).split()) or type(error).__name__

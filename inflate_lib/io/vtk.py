@@ -1,0 +1,78 @@
+"""From an inflated structure to a ParaView series."""
+
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from inflate_lib.io.pictures import _ready, reached_steps
+from inflate_lib.mechanics import stress
+
+
+def write_vtk(result, path):
+    """ParaView series: a ``.vtu`` for each load step, t = 0 included, and the ``.pvd`` that lists them with times.
+
+    Point data: ``displacement`` (3). Cell data, means over the Gauss points: ``F``, ``P`` and ``cauchy_stress`` (9, row
+    by row, with the components across the plane), ``von_mises``, ``largest_stretch``.
+
+    Parameters
+    ----------
+    result : Inflation
+        Load steps without an equilibrium are left out.
+    path : path_like
+        ``name.pvd`` or ``name.vtu``; either way ``name.pvd``, ``name_000.vtu``, ``name_001.vtu``, … are written, and
+        with ``name.vtu`` the last load step under that name as well.
+
+    Returns
+    -------
+    list of Path
+        The ``.pvd`` first, then the ``.vtu`` files in the order of time, then ``name.vtu`` if it was asked for.
+    """
+    import meshio
+
+    asked = _ready(path, ".pvd", ".vtu")
+    path = asked.with_suffix(".pvd")
+    steps = reached_steps(result)
+    points = np.column_stack([result.nodes, np.zeros(len(result.nodes))])
+    fields = _cell_fields(result)
+    collection = ElementTree.Element("VTKFile", type="Collection", version="0.1")
+    listed = ElementTree.SubElement(collection, "Collection")
+    written = [path]
+    for step in range(steps + 1):
+        displacement = np.zeros_like(points)
+        if step:
+            displacement[:, :2] = result.displacement[step - 1]
+        file = path.with_name(f"{path.stem}_{step:03d}.vtu")
+        cells = [("quad", result.cells)]
+        cell_data = {name: [values[step]] for name, values in fields.items()}
+        meshio.Mesh(points, cells, {"displacement": displacement}, cell_data).write(file)
+        time = result.load_steps[step - 1] if step else 0.0
+        ElementTree.SubElement(listed, "DataSet", timestep=f"{time:.12g}", part="0", file=file.name)
+        written.append(file)
+    ElementTree.indent(collection)
+    ElementTree.ElementTree(collection).write(path, encoding="utf-8", xml_declaration=True)
+    if asked.suffix.lower() == ".vtu":
+        written.append(Path(shutil.copy(written[-1], asked)))
+    return written
+
+
+def _cell_fields(result):
+    """(steps + 1, m, …) cell data by name; the first row is the undeformed state."""
+    m = len(result.cells)
+    sigma = stress.cauchy_stress(result)
+    F, P = np.zeros((2, *sigma.shape))
+    F[..., :2, :2], F[..., 2, 2] = result.deformation_gradient, 1.0
+    P[..., :2, :2] = result.first_piola_kirchhoff
+    P[..., 2, 2] = sigma[..., 2, 2] * stress.area_ratio(result)  # P = J σ F⁻ᵀ, and F₃₃ = 1
+
+    def rows(tensor, start):
+        return np.concatenate([np.broadcast_to(start.ravel(), (1, m, 9)), tensor.mean(axis=2).reshape(-1, m, 9)])
+
+    return {
+        "F": rows(F, np.eye(3)),
+        "P": rows(P, np.zeros((3, 3))),
+        "cauchy_stress": rows(sigma, np.zeros((3, 3))),
+        "von_mises": np.concatenate([np.zeros((1, m)), stress.von_mises(result)]),
+        "largest_stretch": np.concatenate([np.ones((1, m)), stress.largest_stretch(result)]),
+    }

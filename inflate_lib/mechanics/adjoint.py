@@ -1,0 +1,127 @@
+"""How an inflated structure would change with its pixels: the adjoint of the equilibrium, one linear solve for all.
+
+Relax the label image: let pixel e of the wall carry the share s_e of its energy W_e,
+
+    Π(x; s) = Σ_e s_e W_e(x) − p A(x).
+
+The structure itself has s = 1. Equilibrium is R = ∂Π/∂x = 0, so a descriptor h(x) follows s by
+
+    dh/ds_e = −λ·∂R/∂s_e = −λ·∂W_e/∂x,   where K λ = ∂h/∂x,
+
+and the symmetric K = ∂R/∂x is the tangent that Newton's method has at hand. These derivatives are exact; what they say
+of a pixel that is flipped as a whole is a first estimate (:func:`flip_changes`), good for choosing what to try first.
+That the pressure then acts on another side of the pixel plays next to no part: the wall is nearly incompressible, and
+a pressure does as much work on one side of such an element as on the other.
+"""
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import ConvexHull
+
+from inflate_lib.mechanics import _sparse
+from inflate_lib.mechanics.inflation import _dilatations, _gather, _pin, _System, _tangent
+from inflate_lib.structures.labels import THICKNESS, VOID, WALL
+
+SCALARS = ("height", "width", "area")  # descriptors that have a sensitivity here
+SQUARE = np.ones((2 * THICKNESS + 1, 2 * THICKNESS + 1))  # that the cavity is grown by to get the wall
+
+
+def sensitivities(result, name, step=-1):
+    """Derivatives of a descriptor with respect to the share of each element's energy.
+
+    Parameters
+    ----------
+    result : Inflation
+    name : {"height", "width", "area"}
+    step : int
+        Load step, which must have converged.
+
+    Returns
+    -------
+    (m,) float
+        dh/ds_e.
+
+    Raises
+    ------
+    ValueError
+        For another descriptor, without an equilibrium, or where that is not stable, so that K is not positive definite.
+    """
+    deformed = result.deformed(step)
+    if not np.isfinite(deformed).all():
+        raise ValueError(f"the structure has no equilibrium to differentiate: {result.reason}")
+    load = descriptor_gradient(deformed, name)
+    (lam, mu), pressure = result.lame, result.pressures[step]
+    system = _System.of(result.mesh, result.element, mu)
+    m, d, n = len(system.cells), len(system.points), len(system.order)
+    corners, J, c = np.empty((m, 4, 2)), np.empty((m, d)), np.empty((m, d, 4, 2))
+    _gather(deformed[system.order].ravel(), system.cells, system.fixed, corners)
+    _dilatations(system.points, corners, system.kind, system.dilatation, J, c)
+    log_j, blocks, inverses = np.log(J), np.empty(system.constant.shape), np.empty((n, 4))
+    _tangent(
+        system.points, blocks, system.constant, system.pressure, system.cells, system.kind, system.dilatation,
+        system.weights, system.place, J, c, lam * log_j, 1.0, lam, mu, pressure,
+    )  # fmt: skip
+    _pin(system.pattern, system.pinned, blocks)
+    if _sparse.factorise(system.pattern, blocks, inverses) < n:
+        raise ValueError("the equilibrium is not stable: its tangent is not positive definite")
+    free = load[system.order]
+    free[: len(system.pinned)][system.pinned] = 0
+    solution = free.ravel()
+    _sparse.solve(system.pattern, blocks, inverses, solution)
+    adjoint = np.zeros_like(deformed)
+    adjoint[system.order] = solution.reshape(-1, 2)
+    adjoint = adjoint[result.cells]
+
+    slope = system.weights[system.kind] * (lam * log_j - mu) / J
+    forces = system.stiffness[system.kind] @ corners + np.einsum("mq,mqai->mai", slope, c)
+    return -np.sum(adjoint * forces, axis=(1, 2))
+
+
+def descriptor_gradient(nodes, name):
+    """∂h/∂x, (n, 2), of the descriptor of deformed nodes. Extents follow the two nodes in which they are attained."""
+    gradient = np.zeros_like(nodes)
+    if name == "area":
+        hull = ConvexHull(nodes).vertices
+        gradient[hull] = area_gradient(nodes[hull])
+    elif name in SCALARS:
+        direction = 1 if name == "height" else 0
+        gradient[nodes[:, direction].argmax(), direction] = 1
+        gradient[nodes[:, direction].argmin(), direction] = -1
+    else:
+        raise ValueError(f"there are sensitivities of {', '.join(SCALARS)}, not of {name!r}")
+    return gradient
+
+
+def area_gradient(corners):
+    """Derivative of the area of polygons (…, k, 2), counter-clockwise, with respect to their corners."""
+    across = (np.roll(corners, -1, axis=-2) - np.roll(corners, 1, axis=-2)) / 2
+    return np.stack([across[..., 1], -across[..., 0]], axis=-1)
+
+
+def flip_changes(label, sensitivity):
+    """Estimated change of a descriptor for each pixel of the cavity that might be flipped.
+
+    A flip changes the wall in up to 5 × 5 pixels, because the wall follows from the cavity. Their derivatives are added
+    up; a pixel that is no wall yet takes those of the nearest one that is, as evolutionary topology optimisation does
+    (Huang & Xie 2007). Not seen is that a flip may move the whole structure within the frame, nor that new nodes may
+    reach beyond the old ones.
+
+    Parameters
+    ----------
+    label : (28, 28) float
+    sensitivity : (m,) float
+        From :func:`sensitivities` of this structure, one element per pixel.
+
+    Returns
+    -------
+    (28, 28) float
+    """
+    wall, cavity = label == WALL, label == VOID
+    nearest = tuple(ndimage.distance_transform_edt(~wall, return_distances=False, return_indices=True))
+    change = np.zeros(label.shape)
+    change[wall] = sensitivity
+    change = change[nearest]
+    covers = ndimage.convolve(cavity.astype(float), SQUARE, mode="constant")  # void pixels that make this one a wall
+    gained = ndimage.convolve(change * (covers < 0.5), SQUARE, mode="constant")
+    lost = ndimage.convolve(change * (wall & (covers < 1.5)), SQUARE, mode="constant")
+    return np.where(cavity, change - lost, gained - change)

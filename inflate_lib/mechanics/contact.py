@@ -1,0 +1,93 @@
+"""Self-contact: where the walls of an inflated structure pass through one another.
+
+The simulation has no contact, as the paper's has none: walls that meet do not notice. Whether they did is a matter of
+geometry. The boundary of the wall consists of the edges that belong to one element only; where two of them that share
+no node cross, wall lies upon wall.
+"""
+
+import numpy as np
+from numba import njit
+
+from inflate_lib.mechanics.mesh import boundary_edges
+
+
+def self_contact(result, step=-1):
+    """Number of pairs of boundary edges that cross one another in the deformed structure.
+
+    Edges that share a node are left out, and so are edges that merely touch (an end of one lies on the other, or they
+    lie along one another). Where two walls cross, there are at least two such pairs.
+
+    Parameters
+    ----------
+    result : Inflation
+    step : int
+        Load step, the last one by default.
+
+    Returns
+    -------
+    int
+        0 where no wall crosses a wall, and also at a load step without an equilibrium.
+    """
+    return int(_count_crossings(result.deformed(step), boundary_edges(result.cells)))
+
+
+def first_contact(result):
+    """Index of the first load step at which walls cross one another, or None where they never do."""
+    edges = boundary_edges(result.cells)
+    for step in range(len(result.displacement)):
+        if _count_crossings(result.deformed(step), edges):
+            return step
+    return None
+
+
+def crossing_edges(result, step=-1):
+    """The pairs behind :func:`self_contact`, (k, 2, 2) int: pair, edge, node numbers of its two ends."""
+    edges, positions = boundary_edges(result.cells), result.deformed(step)
+    pairs = np.empty((int(_count_crossings(positions, edges)), 2), dtype=np.int64)
+    _find_crossings(positions, edges, pairs)
+    return edges[pairs[np.lexsort(pairs.T[::-1])]]
+
+
+@njit(cache=True, nogil=True)
+def _count_crossings(x, edges):
+    return _find_crossings(x, edges, np.empty((0, 2), dtype=np.int64))
+
+
+@njit(cache=True, nogil=True)
+def _find_crossings(x, edges, pairs):
+    """Number of proper crossings; the first ones are written to `pairs`, as many as it has rows.
+
+    A sweep from left to right: an edge is held against those that begin before it ends, which are few.
+    """
+    count, n = 0, len(edges)
+    left, right, bottom, top = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    for e in range(n):
+        i, j = edges[e]
+        left[e], right[e] = min(x[i, 0], x[j, 0]), max(x[i, 0], x[j, 0])
+        bottom[e], top[e] = min(x[i, 1], x[j, 1]), max(x[i, 1], x[j, 1])
+    order = np.argsort(left)
+    for first in range(n):
+        e = order[first]
+        i, j = edges[e]
+        for f in order[first + 1 :]:
+            if left[f] > right[e]:
+                break
+            # NaN fails every comparison and ends at the last test
+            if bottom[f] > top[e] or top[f] < bottom[e]:
+                continue
+            k, m = edges[f]
+            if i in (k, m) or j in (k, m):
+                continue
+            here = _side(x, i, j, k) * _side(x, i, j, m)
+            there = _side(x, k, m, i) * _side(x, k, m, j)
+            if here < 0 and there < 0:
+                if count < len(pairs):
+                    pairs[count, 0], pairs[count, 1] = min(e, f), max(e, f)
+                count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _side(x, i, j, k):
+    """Twice the signed area of the triangle i, j, k: positive where k is on the left of the way from i to j."""
+    return (x[j, 0] - x[i, 0]) * (x[k, 1] - x[i, 1]) - (x[j, 1] - x[i, 1]) * (x[k, 0] - x[i, 0])

@@ -1,0 +1,198 @@
+"""From a label image to a finite-element mesh of the wall (paper sec. 3).
+
+Every wall pixel (label 0.5) becomes one quadrilateral, or ``refine × refine`` of them. The frame is the unit
+square; its bottom edge is y = 0, where the structure is clamped if not asked otherwise. Edges between wall and void
+carry the pressure.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from inflate_lib.structures.labels import OUTSIDE, VOID, WALL, turns_to_bottom
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Quadrilateral mesh of a wall.
+
+    Attributes
+    ----------
+    nodes : (n, 2) float
+        Undeformed coordinates in lengths of the unit square.
+    cells : (m, 4) int
+        Node numbers of each quadrilateral, counter-clockwise.
+    pressure_edges : (k, 2) int
+        Node numbers of each edge between wall and void, with the cavity on the left-hand side, so that the edges
+        run counter-clockwise around the cavity.
+    clamped : (n,) or (n, 2) bool
+        Nodes that cannot move: those on the clamped edge. With two columns, directions (x, y) in which a node cannot
+        move, as on the symmetry lines of a verification problem.
+    """
+
+    nodes: np.ndarray
+    cells: np.ndarray
+    pressure_edges: np.ndarray
+    clamped: np.ndarray
+
+
+def build_mesh(label, refine=1, clamped="bottom"):
+    """Mesh the wall of a label image.
+
+    Parameters
+    ----------
+    label : (s, s) array_like
+        Labels 0 (outside), 0.5 (wall), 1 (void), as :func:`inflate_lib.label_image` makes them.
+    refine : int
+        Sub-elements per pixel and direction.
+    clamped : {"bottom", "left", "top", "right"}
+        Edge of the image whose nodes cannot move. The ground behind it may close the cavity.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    ValueError
+        Where the labels are no label image, nothing is clamped, the wall falls into several pieces, or the cavity is
+        missing or open.
+    """
+    label = check_label(label, clamped)
+    if isinstance(refine, bool) or not isinstance(refine, int | np.integer) or refine < 1:
+        raise ValueError(f"refine must be a whole number of at least 1, not {refine!r}")
+    label = np.kron(label, np.ones((refine, refine))) if refine > 1 else label
+    size = len(label)
+
+    # Lattice point (r, c) is the upper left corner of pixel (r, c); row 0 is the top of the picture.
+    row, column = np.nonzero(label == WALL)
+    corner = row * (size + 1) + column
+    lattice_cells = corner[:, None] + np.array([size + 1, size + 2, 1, 0])  # counter-clockwise from lower left
+    lattice_edges = _cavity_edges(label)
+
+    used = np.zeros((size + 1) ** 2, dtype=bool)
+    used[lattice_cells] = True
+    number = np.cumsum(used) - 1
+    lattice_row, lattice_column = np.divmod(np.flatnonzero(used), size + 1)
+    x, y = lattice_column, size - lattice_row
+    held = {"bottom": y == 0, "left": x == 0, "top": y == size, "right": x == size}[clamped]
+    return Mesh(np.column_stack([x, y]) / size, number[lattice_cells], number[lattice_edges], held)
+
+
+def check_mesh(mesh):
+    """Return a mesh that was made by hand, or raise a ValueError that says why it cannot be inflated."""
+    nodes, n = np.asarray(mesh.nodes), len(mesh.nodes)
+    if nodes.dtype != float or nodes.shape != (n, 2) or not np.isfinite(nodes).all():
+        raise ValueError("mesh: nodes must be finite coordinates in double precision, of shape (n, 2)")
+    for name, width in (("cells", 4), ("pressure_edges", 2)):
+        numbers = np.asarray(getattr(mesh, name))
+        if numbers.ndim != 2 or numbers.shape[1] != width or not np.issubdtype(numbers.dtype, np.integer):
+            raise ValueError(f"mesh: {name} must be node numbers of shape (·, {width}), not {numbers.shape}")
+        if numbers.size and not 0 <= numbers.min() <= numbers.max() < n:
+            raise ValueError(f"mesh: {name} has numbers outside 0 … {n - 1}")
+    x, y = np.moveaxis(nodes[mesh.cells], -1, 0)
+    twice_area = (x[:, 2] - x[:, 0]) * (y[:, 3] - y[:, 1]) - (x[:, 3] - x[:, 1]) * (y[:, 2] - y[:, 0])
+    if not len(mesh.cells) or not np.all(twice_area > 0):
+        raise ValueError("mesh: cells must be quadrilaterals with corners in counter-clockwise order, at least one")
+    if len(np.unique(mesh.cells)) < n:
+        raise ValueError("mesh: some nodes belong to no cell")
+    clamped = np.asarray(mesh.clamped)
+    if clamped.dtype != bool or clamped.shape not in ((n,), (n, 2)):
+        raise ValueError(f"mesh: clamped must be bool of shape ({n},) or ({n}, 2), not {clamped.shape}")
+    if clamped.all() or not clamped.any():
+        raise ValueError("mesh: some nodes must be clamped, and some free")
+    return mesh
+
+
+def check_label(label, clamped="bottom"):
+    """Return `label` as a float array, or raise a ValueError that says why it cannot be inflated."""
+    turns = turns_to_bottom(clamped)
+    try:
+        label = np.asarray(label, dtype=float)
+    except (TypeError, ValueError, RuntimeError) as error:  # the last from tensors that NumPy cannot take
+        raise ValueError(f"label: not an array of numbers ({error})") from None
+    if label.ndim != 2 or label.shape[0] != label.shape[1] or label.size == 0:
+        raise ValueError(f"label: a square image is needed, not an array of shape {label.shape}")
+    wall, void = label == WALL, label == VOID
+    if not np.all(wall | void | (label == OUTSIDE)):
+        raise ValueError("label: values must be 0 (outside), 0.5 (wall) or 1 (void); make them with label_image(image)")
+    if not wall.any():
+        raise ValueError("label: there is no wall (0.5)")
+    if not void.any():
+        raise ValueError("label: there is no void (1) to put under pressure")
+    if not np.rot90(wall, turns)[-1].any():
+        raise ValueError(f"label: nothing is clamped, because no wall reaches the {clamped} edge of the image")
+    pieces = ndimage.label(wall)[1]  # connected by edges: two pixels that share a corner only would make a hinge
+    if pieces > 1:
+        raise ValueError(f"label: the wall falls into {pieces} pieces that share no edge")
+    beyond = (1, 0), (1, 1)  # beyond three edges is the outside; behind the clamped one, turned down, is the ground
+    outside = np.pad(np.rot90(label == OUTSIDE, turns), beyond, constant_values=True)
+    inside = np.pad(np.rot90(void, turns), beyond)
+    if np.any(outside & ndimage.binary_dilation(inside)):  # grown by one pixel across edges, not across corners
+        raise ValueError("label: the cavity is open, because a void pixel (1) touches the outside (0) or the frame")
+    return label
+
+
+def _cavity_edges(label):
+    """Edges between void and wall as pairs of lattice points, counter-clockwise around the void."""
+    size = len(label)
+    wall, void = label == WALL, label == VOID
+    lattice = np.arange((size + 1) ** 2).reshape(size + 1, size + 1)
+
+    def edges(here, start, end):
+        return np.column_stack([start[here], end[here]])
+
+    upper_left, upper_right = lattice[:-1, :-1], lattice[:-1, 1:]
+    lower_left, lower_right = lattice[1:, :-1], lattice[1:, 1:]
+    below, above = np.zeros_like(wall), np.zeros_like(wall)
+    left, right = np.zeros_like(wall), np.zeros_like(wall)
+    below[:-1], above[1:], left[:, 1:], right[:, :-1] = wall[1:], wall[:-1], wall[:, :-1], wall[:, 1:]
+    return np.concatenate(
+        [
+            edges(void & below, lower_left, lower_right),
+            edges(void & right, lower_right, upper_right),
+            edges(void & above, upper_right, upper_left),
+            edges(void & left, upper_left, lower_left),
+        ]
+    )
+
+
+def boundary_edges(cells):
+    """Edges that belong to one quadrilateral only.
+
+    Parameters
+    ----------
+    cells : (m, 4) int
+        Node numbers, in order around each quadrilateral.
+
+    Returns
+    -------
+    (k, 2) int
+        Node numbers of the two ends of each edge, the smaller first.
+    """
+    ends = np.stack([cells, np.roll(cells, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    codes, counts = np.unique(low * (high.max() + 1) + high, return_counts=True)
+    return np.column_stack(np.divmod(codes[counts == 1], high.max() + 1))
+
+
+def boundary_loops(cells):
+    """Closed lines of nodes around the quadrilaterals `cells` (m, 4): the outer border and the border of each hole."""
+    next_of = {}
+    ends = np.stack([cells, np.roll(cells, -1, axis=1)], axis=-1).reshape(-1, 2)
+    border = {tuple(edge) for edge in boundary_edges(cells).tolist()}
+    for start, end in ends.tolist():
+        if (min(start, end), max(start, end)) in border:
+            next_of.setdefault(start, []).append(end)
+    loops = []
+    while next_of:
+        start = next(iter(next_of))
+        loop, node = [], start
+        while node in next_of:
+            loop.append(node)
+            node = next_of[node].pop()
+            if not next_of[loop[-1]]:
+                del next_of[loop[-1]]
+        loops.append(np.array(loop))
+    return loops

@@ -1,0 +1,12 @@
+"""Trained models of descriptors (paper sec. 4.1): trained, found in the cache, or committed; and how to ask them."""
+
+from inflate_lib._lazy import attach
+
+__getattr__, __dir__, __all__ = attach(
+    __name__,
+    {
+        "train": ["train_models", "training_config"],
+        "weights": ["committed_weights", "trained_models"],
+        "calibration": ["Calibration"],
+    },
+)

@@ -1,0 +1,75 @@
+"""What to tell a model so that it draws what is wanted.
+
+A conditional model answers a descriptor y with structures whose own descriptors scatter around some g(y), not around
+y: a model that was trained briefly answers too near the average, one that is guided strongly (w > 1) exaggerates. Both
+are smooth and can be measured: ask for the descriptors of a few hundred training structures, inflate what is drawn, and
+fit a linear g by least squares. To get c, the model is then told g⁻¹(c). Held-out structures play no part in it.
+
+Guidance narrows the scatter around g at the price of exaggeration; calibration takes the exaggeration back.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+VARIANCE = 0.99  # share of the descriptors' variance in the directions in which a model is calibrated
+LEAST_SLOPE = 0.5  # below it, inverting g more than doubles what is asked for, far outside the data
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The fit of g: in the coordinates z = D (y − m), g(z) = o + S z. Directions across D are left alone.
+
+    Scalars and boxes have as many coordinates as components. An axis has 60 components that move together; its
+    coordinates are the few principal directions D (k, N) of the training axes.
+    """
+
+    mean: np.ndarray  # m (N,), in the descriptor's unit
+    directions: np.ndarray  # D (k, N), orthonormal rows
+    offset: np.ndarray  # o (k,)
+    slope: np.ndarray  # S (k, k)
+
+    @classmethod
+    def fit(cls, targets, achieved):
+        """Fit g to what was asked for and what was achieved, (n, N) each, all finite.
+
+        Directions of little variance, in which a model may hardly follow at all, are left out one by one until g can be
+        inverted safely.
+
+        Raises
+        ------
+        ValueError
+            Fewer structures than the fit has unknowns, or no direction is left: the model does not listen.
+        """
+        targets, achieved = np.asarray(targets, dtype=float), np.asarray(achieved, dtype=float)
+        mean = targets.mean(axis=0)
+        _, spread, directions = np.linalg.svd(targets - mean, full_matrices=False)
+        share = np.cumsum(spread**2) / max(np.sum(spread**2), np.finfo(float).tiny)
+        most = targets.shape[1] if targets.shape[1] <= 2 else int(np.searchsorted(share, VARIANCE)) + 1
+        if len(targets) <= most + 1:
+            raise ValueError(f"a calibration in {most} directions needs more than {len(targets)} structures")
+        for k in range(most, 0, -1):
+            chosen = directions[:k]
+            asked, got = (targets - mean) @ chosen.T, (achieved - mean) @ chosen.T
+            coefficients = np.linalg.lstsq(np.c_[np.ones(len(asked)), asked], got, rcond=None)[0]
+            offset, slope = coefficients[0], coefficients[1:].T
+            weakest = np.linalg.svd(slope, compute_uv=False).min()
+            if weakest >= LEAST_SLOPE:
+                return cls(mean, chosen, offset, slope)
+        raise ValueError(
+            f"the model hardly follows its descriptor (slope {weakest:.2f} of achieved on wanted): train it longer, "
+            "or do without calibration"
+        )
+
+    def answer(self, told):
+        """g: what the model draws on average when it is told ``told`` (n, N)."""
+        told = np.asarray(told, dtype=float)
+        z = (told - self.mean) @ self.directions.T
+        return told + (z @ self.slope.T + self.offset - z) @ self.directions
+
+    def told(self, targets):
+        """What to tell the model, (n, N), to get ``targets`` (n, N)."""
+        targets = np.asarray(targets, dtype=float)
+        z = (targets - self.mean) @ self.directions.T
+        told = np.linalg.solve(self.slope, (z - self.offset).T).T
+        return targets + (told - z) @ self.directions

@@ -1,0 +1,43 @@
+"""What is committed in figures/: the accuracy of the committed weights, and where every file comes from."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from inflate_lib import paths
+from inflate_lib._cache import digest
+
+SCALARS = ("height", "width", "box", "area")
+
+
+def measured(measure, name):
+    """A value without its interval, of the 200 held-out targets."""
+    table = pd.read_csv(paths.FIGURES / "laptop" / "held_out_scalars.csv").set_index("measure")
+    return float(table.loc[measure, name].split()[0].replace("−", "-"))
+
+
+@pytest.mark.parametrize("name", SCALARS)
+def test_unseen_targets_are_met(name):
+    assert measured("R²", name) >= 0.75
+    assert measured("median error / target", name) <= 4
+    assert measured("valid", name) >= 90
+
+
+@pytest.mark.parametrize("name", SCALARS)
+def test_the_best_of_sixteen_is_close(name):
+    best = pd.read_csv(paths.FIGURES / "laptop" / "best_of_n.csv")
+    best = best[(best["descriptor"] == name) & (best["by"] == "simulation") & (best["n"] == 16)]
+    assert len(best) == 1 and best["median"].item() <= 0.5
+
+
+@pytest.mark.parametrize("profile", ["ci", "laptop"])
+def test_every_file_is_named_by_a_record_of_where_it_comes_from(profile):
+    folder, named = paths.FIGURES / profile, {}
+    for note in map(json.loads, (path.read_text(encoding="utf-8") for path in folder.glob("*.json"))):
+        assert (note["profile"], note["data_source"] or "mnist") == (profile, "mnist"), note["name"]
+        assert note["uncommitted_changes"] is False, note["name"]
+        named |= note["files"]
+    files = {path.name for path in folder.iterdir() if path.suffix != ".json"}
+    assert files == set(named)
+    assert not [name for name in files if digest((folder / name).read_bytes()) != named[name]]

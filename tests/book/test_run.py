@@ -1,0 +1,413 @@
+"""The runner: what succeeds is whole and attributed; what fails leaves nothing that could be taken for a result."""
+
+import io
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import nbformat
+import pytest
+from rich.console import Console
+
+from inflate_lib import paths
+from inflate_lib._cache import CacheError
+from inflate_lib.book import run as reproduce
+from inflate_lib.book._execution import NotebookFailed
+from inflate_lib.book.build import build_book, check_book
+from inflate_lib.book.page import recorded
+from inflate_lib.book.profiles import ProfileError
+from inflate_lib.book.run import RunError, plan
+from inflate_lib.cli import app
+
+HEADER = """\
+---
+jupytext:
+  text_representation:
+    extension: .md
+    format_name: myst
+kernelspec:
+  display_name: Python 3
+  language: python
+  name: python3
+---
+
+# Title
+
+```{code-cell} ipython3
+:tags: [parameters]
+
+profile = "interactive"  # set by the runner
+steps = 10  # load steps
+```
+"""
+CELL = "\n```{code-cell} ipython3\n%s\n```\n"
+PUBLISHING = """\
+import matplotlib.pyplot as plt
+from inflate_lib._cache import cached
+from inflate_lib.book.page import Page
+
+page = Page("%s", globals())
+print("kept")
+cached("step", {"a": 1}, lambda target, scratch: (print("half way"), target.write_text("")), ".txt")
+print("also kept")
+page.record("third", 1 / 3)
+page.record("steps", steps)
+page.record("word", "seven")
+page.figure(plt.figure(), "fig_%s")"""
+
+
+def add(home, name, *cells, head=HEADER):
+    (home / "notebooks" / f"{name}.md").write_text(head + "".join(CELL % cell for cell in cells))
+
+
+def make_home(folder, files=("01_first", "02_second")):
+    """A checkout in small: notebooks, profiles, table of contents."""
+    (folder / "notebooks" / "profiles").mkdir(parents=True)
+    (folder / "book").mkdir()
+    for name in files:
+        add(folder, name, PUBLISHING % (name, name))
+    chapters = [{"file": f"notebooks/{name}"} for name in files]
+    contents = {"format": "jb-book", "root": "index", "parts": [{"caption": "All", "chapters": chapters}]}
+    (folder / "book" / "_toc.yml").write_text(json.dumps(contents))
+    (folder / "notebooks" / "profiles" / "ci.yml").write_text("name: ci\n")
+    (folder / "notebooks" / "profiles" / "laptop.yml").write_text("name: laptop\ncommon: {steps: 20}\n")
+    return folder
+
+
+def point_to(home, patch):
+    below = {"ROOT": "", "NOTEBOOKS": "notebooks", "PROFILES": "notebooks/profiles", "BOOK": "book"}
+    below |= {"EXECUTED": "book/notebooks", "REPORTS": "book/_build/reports", "FIGURES": "figures", "DATA": "data"}
+    below |= {"REFERENCE": "data/reference", "PRETRAINED": "data/pretrained", "CACHE": "data/cache"}
+    for name, folder in below.items():
+        patch.setattr(paths, name, home / folder)
+
+
+def run(profile="ci", **options):
+    console = Console(file=io.StringIO(), width=120)
+    reproduce.reproduce(profile, console=console, **options)
+    return console.file.getvalue()
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    point_to(make_home(tmp_path), monkeypatch)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Two notebooks executed side by side, once for the tests that look at the result."""
+    home = make_home(tmp_path_factory.mktemp("finished"))
+    with pytest.MonkeyPatch.context() as patch:
+        point_to(home, patch)
+        output = run(jobs=2)
+    return home, output
+
+
+@pytest.fixture
+def done(finished, monkeypatch):
+    """The finished checkout; what a test changes in it is put back."""
+    home, _ = finished
+    point_to(home, monkeypatch)
+    before = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
+    yield home
+    for path, content in before.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+def stale():
+    return [job.stale() for job in plan("ci")]
+
+
+def test_a_run_executes_and_says_what_it_did(finished):
+    home, output = finished
+    for name in ("01_first", "02_second"):
+        assert f"{name}: not executed yet" in output
+        assert f"{name}: done in" in output
+        assert (home / "figures" / "ci" / f"fig_{name}.png").is_file()
+    assert "seconds" in output
+    assert sorted(p.name for p in (home / "book" / "notebooks").glob("*.*nb*")) == ["01_first.ipynb", "02_second.ipynb"]
+    assert not list((home / "data" / "cache" / "runs").iterdir())
+
+
+def test_an_executed_notebook_is_valid_tidy_and_keeps_its_records(done):
+    path = done / "book" / "notebooks" / "01_first.ipynb"
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    assert str(done) not in path.read_text()
+    injected = [cell for cell in notebook.cells if "injected-parameters" in cell.metadata.get("tags", [])]
+    assert len(injected) == 1
+    assert 'profile = "ci"' in injected[0].source
+    assert "remove-cell" in injected[0].metadata.tags
+    pictures = [out for cell in notebook.cells for out in cell.get("outputs", []) if "image/png" in out.get("data", {})]
+    assert len(pictures) == 1
+    assert recorded(path) == {"third": 1 / 3, "steps": 10, "word": "seven"}
+    published = notebook.metadata.inflate.published
+    assert published == ["ci/fig_01_first.json", "ci/fig_01_first.png", "ci/fig_01_first.svg"]
+
+
+def test_progress_of_a_step_is_not_kept_whether_it_ran_or_was_in_the_cache(done):
+    texts = []
+    for name in ("01_first", "02_second"):
+        notebook = nbformat.read(done / "book" / "notebooks" / f"{name}.ipynb", as_version=4)
+        outputs = [out for cell in notebook.cells for out in cell.get("outputs", []) if out.output_type == "stream"]
+        texts.append("".join(out.text for out in outputs))
+    assert texts[0] == texts[1] == "Profile: ci\nkept\nalso kept\n"
+
+
+def test_nothing_runs_again_while_nothing_changes(done):
+    path = done / "book" / "notebooks" / "01_first.ipynb"
+    before = path.stat().st_mtime_ns
+    output = run()
+    assert output.count(": fresh") == 2
+    assert path.stat().st_mtime_ns == before
+    check_book("ci")
+
+
+def test_a_book_is_refused_for_every_kind_of_staleness(done, monkeypatch):
+    executed = done / "book" / "notebooks"
+    assert stale() == ["", ""]
+    with pytest.raises(RunError, match=r"(?s)01_first: executed under profile ci.*02_second"):
+        check_book("laptop")
+    (done / "figures" / "ci" / "fig_01_first.svg").unlink()
+    assert stale() == ["missing: figures/ci/fig_01_first.svg", ""]
+    source = done / "notebooks" / "02_second.md"
+    source.write_text(source.read_text() + "\nOne more word.\n")
+    assert stale()[1] == "changed since: notebook"
+    (done / "notebooks" / "profiles" / "ci.yml").write_text("name: ci\nnotebooks: {02_second: {steps: 11}}\n")
+    assert stale()[1] == "changed since: notebook, parameters"
+    monkeypatch.setattr(reproduce, "code_version", lambda *modules: "other")
+    assert stale()[1] == "changed since: notebook, parameters, library"
+    (executed / "01_first.ipynb").write_text((executed / "01_first.ipynb").read_text().replace("kept", "edited"))
+    assert stale()[0].startswith("changed since: library")
+    monkeypatch.undo()
+    point_to(done, monkeypatch)
+    assert stale()[0] == "edited after it was executed"
+    (executed / "02_second.ipynb").write_text("{")
+    assert stale()[1] == "not a notebook that this command made"
+    (executed / "02_second.ipynb").unlink()
+    with pytest.raises(RunError, match=r"02_second: not executed yet(?s:.*)Run: inflate reproduce --profile ci"):
+        build_book("ci")
+    assert not (done / "book" / "_build" / "html").exists()
+
+
+def test_a_book_lists_the_notebooks_that_exist(done):
+    contents = done / "book" / "_toc.yml"
+    contents.write_text(contents.read_text().replace("02_second", "03_third"))
+    with pytest.raises(RunError, match=r"(?s)03_third: in book/_toc.yml, but.*02_second: not in book/_toc.yml"):
+        check_book("ci")
+
+
+@pytest.mark.slow
+def test_a_book_with_a_warning_is_no_book_the_second_time_either(done):
+    """Sphinx would not look at the page again: after a failed build it has to start afresh."""
+    config = "title: T\nonly_build_toc_files: true\nexecute: {execute_notebooks: 'off'}\n"
+    (done / "book" / "_config.yml").write_text(config)
+    (done / "book" / "index.md").write_text("# Title\n\n{doc}`notebooks/03_absent`\n")
+    for _ in range(2):
+        with pytest.raises(
+            RunError, match=r"(?s)warnings or errors.*\.md:3: WARNING: unknown document: '?notebooks/03_"
+        ):
+            build_book("ci")
+
+
+def test_a_notebook_that_warned_is_named_with_its_warning(done, monkeypatch):
+    executed = done / "book" / "notebooks" / "02_second.ipynb"
+    notebook = nbformat.read(executed, as_version=4)
+    cell = [cell for cell in notebook.cells if cell.cell_type == "code"][-1]
+    cell.outputs.append(nbformat.v4.new_output("stream", name="stderr", text="UserWarning: too much\n"))
+    nbformat.write(notebook, executed)
+    notebook.metadata["inflate"]["cells"] = run._content(json.loads(executed.read_text()))
+    nbformat.write(notebook, executed)
+    said = io.StringIO()
+    monkeypatch.setattr(reproduce, "run_jupyter_book", lambda builder: done / "book")
+    (done / "book" / "_build").mkdir(exist_ok=True)
+    build_book("ci", Console(file=said))
+    assert re.search(r"left out of the book:\s+02_second, code cell \d: UserWarning: too much", said.getvalue())
+
+
+def test_a_raising_cell_stops_the_run_and_is_shown(home, monkeypatch):
+    add(home, "01_first", "x = 1", "y = 0\nx / y", "z = 2")
+    executed = home / "book" / "notebooks" / "01_first.ipynb"
+    executed.parent.mkdir()
+    executed.write_text("the old version")
+    add(home, "02_second", "import time\ntime.sleep(60)")
+    monkeypatch.setattr(sys, "argv", ["inflate", "reproduce", "--profile", "ci", "--jobs", "2"])
+    start = time.monotonic()
+    with pytest.raises(SystemExit) as exit_:
+        app.run()
+    assert time.monotonic() - start < 45, "the other notebook should have been ended"
+    message = str(exit_.value.code)
+    line = (home / "notebooks" / "01_first.md").read_text().splitlines().index("y = 0") + 1
+    assert f"01_first.md, code cell 3, line {line}: ZeroDivisionError: division by zero" in message
+    assert "y = 0\nx / y" in message
+    assert "Traceback" in message
+    assert "\x1b" not in message
+    assert not list(executed.parent.glob("*.ipynb"))
+    report = home / "book" / "_build" / "reports" / "01_first.ipynb"
+    assert str(report) in message
+    assert "ZeroDivisionError" in report.read_text()
+
+
+def test_a_dying_kernel_is_told_from_a_raising_cell(home):
+    add(home, "01_first", "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)")
+    with pytest.raises(NotebookFailed, match=r"01_first\.md, code cell 2, line 22: the kernel died"):
+        run(only=["1"])
+    assert not list((home / "book" / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize(
+    ("profile", "only", "message"),
+    [
+        ("common: {stps: 1}", [], "common.stps: no notebook declares"),
+        ("notebooks: {01_first: {stps: 1}}", [], "01_first.stps: the notebook does not declare it"),
+        ("notebooks: {03_third: {steps: 1}}", [], "there is no such notebook"),
+        ("notebooks: {02_second: {steps: many}}", ["01"], "02_second.steps: 'many' is str"),
+        ("", ["07"], "--only 07: there is no such notebook; there are: 01_first, 02_second"),
+    ],
+)
+def test_mistakes_are_found_before_anything_is_touched(home, monkeypatch, profile, only, message):
+    (home / "notebooks" / "profiles" / "ci.yml").write_text(f"name: ci\n{profile}\n")
+    old = home / "book" / "notebooks" / "01_first.ipynb"
+    old.parent.mkdir()
+    old.write_text("the old version")
+    monkeypatch.setattr(reproduce, "_run", lambda *_: pytest.fail("it ran"))
+    with pytest.raises((ProfileError, RunError), match=message):
+        run(only=only)
+    assert old.read_text() == "the old version"
+
+
+def test_missing_data_are_found_before_anything_runs(home, monkeypatch):
+    add(home, "01_first", "x = 1", head=HEADER.replace("steps = 10", 'source = "auto"  # data\nsteps = 10'))
+    monkeypatch.setenv("INFLATE_MNIST_DIR", str(home / "nowhere"))
+    monkeypatch.setattr(reproduce, "_run", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr(sys, "argv", ["inflate", "reproduce"])
+    run._resolved.cache_clear()
+    with pytest.raises(SystemExit, match=r"nowhere.*train-images-idx3-ubyte"):
+        app.run()
+    assert "01_first.ipynb" not in os.listdir(home / "book" / "notebooks")
+
+
+def test_a_cache_without_room_for_the_run_is_named(home):
+    add(home, "01_first", "x = 1")
+    (home / "data").mkdir()
+    (home / "data" / "cache").write_text("a file where the folder should be")
+    with pytest.raises(CacheError, match="set INFLATE_CACHE"):
+        run()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--descriptor nonsense", "unknown descriptor 'nonsense'"),
+        ("--steps 3 --out weights", "--steps is a dry run, which keeps nothing"),
+        ("--steps 3 --log logs", "--steps is a dry run, which keeps nothing"),
+        ("--pack pairs.safetensors --steps 3", "--pack trains nothing"),
+    ],
+)
+def test_a_training_of_nothing_is_refused_before_anything_is_simulated(words, message, monkeypatch):
+    monkeypatch.setattr("inflate_lib.datasets.simulate.simulated_sevens", lambda *_: pytest.fail("it simulated"))
+    monkeypatch.setattr(sys, "argv", ["inflate", "train", *words.split()])
+    with pytest.raises(SystemExit, match=message):
+        app.run()
+
+
+def test_a_notebook_without_mnist_says_so_and_warns_of_nothing(home, monkeypatch):
+    """Anything on standard error would be a warning of the book, and the end of it."""
+    monkeypatch.delenv("INFLATE_MNIST_DIR", raising=False)
+    unreachable = "sources.MIRRORS = ('http://127.0.0.1:9/',)"
+    add(home, "01_first", f"from inflate_lib import sources\n{unreachable}\nsources.resolve_source()")
+    run()
+    executed = nbformat.read(home / "book" / "notebooks" / "01_first.ipynb", 4)
+    streams = {output.name: output.text for output in executed.cells[-1].outputs if output.output_type == "stream"}
+    assert list(streams) == ["stdout"]
+    assert "embedded scikit-learn digits" in streams["stdout"]
+
+
+def test_retraining_reaches_the_notebooks_and_makes_them_run_again(done, monkeypatch):
+    add(done, "02_second", "import os\nfrom inflate_lib.book.page import Page\npage = Page('02_second', globals())\n"
+        "page.record('retrain', 'INFLATE_RETRAIN' in os.environ)")  # fmt: skip
+    monkeypatch.setattr(reproduce, "build_book", lambda profile: None)
+    monkeypatch.setenv("INFLATE_RETRAIN", "")  # so that whatever happens to it is undone
+    monkeypatch.delenv("INFLATE_RETRAIN")
+    for retrain in (False, True):
+        app.book(retrain=retrain)
+        assert recorded(done / "book" / "notebooks" / "02_second.ipynb")["retrain"] == retrain
+
+
+def test_two_runs_do_not_share_a_checkout(home):
+    with run._only_run(), pytest.raises(RunError, match=r"another .* is at work"):
+        run()
+
+
+def test_a_figure_that_a_notebook_no_longer_makes_goes_away(home):
+    folder = home / "figures" / "ci"
+    folder.mkdir(parents=True)
+    (folder / "old.json").write_text('{"notebook": "01_first", "files": {"old.png": ""}}')
+    (folder / "old.png").write_text("")
+    (folder / "kept.json").write_text('{"notebook": "02_second", "files": {}}')
+    (home / "manifest").write_text("ci/fig_01_first.png\n")
+    notebook = nbformat.v4.new_notebook()
+    run._stamp(plan("ci")[0], notebook, home / "manifest")
+    assert [path.name for path in folder.iterdir()] == ["kept.json"]
+    assert notebook.metadata.inflate["published"] == ["ci/fig_01_first.png"]
+
+
+LONG_STEP = """\
+import os, time
+from pathlib import Path
+from inflate_lib._cache import cached
+from inflate_lib import paths
+
+def make(target, scratch):
+    part = scratch / "part"
+    if not part.exists():
+        part.write_text("first half, ")
+        (paths.ROOT / "kernel.pid").write_text(str(os.getpid()))
+        time.sleep(120)
+    target.write_text(part.read_text() + "resumed")
+
+print(cached("steps", {"steps": steps}, make, ".txt").read_text())"""
+
+
+def alive(process):
+    try:
+        os.kill(process, 0)
+        return "Z" not in Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except ProcessLookupError:
+        return False
+    except FileNotFoundError:  # no /proc: macOS
+        return True
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_run_ends_its_kernel_leaves_nothing_and_is_resumed(home, kill):
+    add(home, "01_first", LONG_STEP)
+    environment = {**os.environ, "INFLATE_HOME": str(home), "INFLATE_CACHE": str(home / "data" / "cache")}
+    command = [sys.executable, "-c", "from inflate_lib.cli.app import run; run()", "reproduce", "--only", "01_first"]
+    first = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    mark = home / "kernel.pid"
+    deadline = time.monotonic() + 90
+    while not (mark.exists() and mark.read_text()) and time.monotonic() < deadline and first.poll() is None:
+        time.sleep(0.1)
+    kernel = int(mark.read_text())
+    first.send_signal(kill)
+    output = first.communicate(timeout=30)[0]
+    if kill == signal.SIGTERM:
+        assert first.returncode == 1
+        assert "stopped; run the same command again" in output
+        assert "Traceback" not in output
+    deadline = time.monotonic() + 15
+    while alive(kernel) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not alive(kernel)
+    assert not [path for path in (home / "book" / "notebooks").iterdir() if "ipynb" in path.name]
+    run(only=["01_first"])
+    assert "first half, resumed" in (home / "book" / "notebooks" / "01_first.ipynb").read_text()

@@ -1,0 +1,213 @@
+"""``inflate simulate``: image files in, numbers and files out; a bad image spoils nothing but itself."""
+
+import json
+import sys
+
+import meshio
+import numpy as np
+import pytest
+from PIL import Image
+
+from inflate_lib import describe, inflate, label_image
+from inflate_lib.cli import app
+from inflate_lib.cli._images import Options, simulate_files
+from inflate_lib.io.pictures import read_images
+from inflate_lib.structures.labels import EDGES
+from inflate_lib.structures.sources import load_sevens
+
+DIGITS = load_sevens("digits").images
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Image.fromarray(DIGITS[0]).save("seven.png")
+    np.save("stack.npy", DIGITS[:2] / 255)
+    (tmp_path / "bad.png").write_text("no picture")
+    Image.fromarray(255 - np.kron(DIGITS[1], np.ones((4, 4), dtype=np.uint8))).save("drawing.png")
+    return tmp_path
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command; returns exit code, stdout, stderr."""
+
+    def command(*arguments):
+        monkeypatch.setattr(sys, "argv", ["inflate", "simulate", *arguments])
+        with pytest.raises(SystemExit) as end:
+            app.run()
+        code = end.value.code
+        out, err = capsys.readouterr()
+        if isinstance(code, str):  # sys.exit with a message
+            return 1, out, err + code
+        return code or 0, out, err
+
+    return command
+
+
+def test_numbers_are_those_of_the_library(folder, run):
+    code, out, err = run("seven.png", "stack.npy", "--json", "--steps", "2")
+    assert code == 0 and "3 of 3 structures inflated" in err
+    said = json.loads(out)
+    assert said["parameters"]["lame"] == [16.44, 0.1644] and said["parameters"]["n_steps"] == 2
+    first, second, third = said["structures"]
+    assert [first["name"], second["name"], third["name"]] == ["seven", "stack_000", "stack_001"]
+    for record, image in ((first, DIGITS[0]), (second, DIGITS[0]), (third, DIGITS[1])):
+        expected = describe(inflate(label_image(image), n_steps=2))
+        assert record["converged"] and not record["reason"]
+        assert (record["height"], record["width"], record["hull_area"]) == (
+            expected.height, expected.width, expected.hull_area,
+        )  # fmt: skip
+        assert np.array_equal(record["medial_axis"], expected.medial_axis)
+
+
+def test_a_bad_image_is_one_line_and_the_others_go_on(folder, run):
+    np.save("blank.npy", np.zeros((28, 28)))
+    code, out, err = run("bad.png", "missing.png", "drawing.png", "blank.npy", "seven.png", "--steps", "1")
+    assert code == 1
+    lines = err.strip().splitlines()
+    assert len(lines) == 5
+    for line, words in zip(lines, ("cannot be read", "does not exist", "112 × 112", "blank", "1 of 5"), strict=True):
+        assert words in line
+    assert "seven" in out and "0.9" in out and "bad" not in out
+    code, out, _ = run("bad.png", "seven.png", "--json", "--steps", "1")
+    bad, good = json.loads(out)["structures"]
+    assert code == 1 and bad["height"] is None and "bad.png" in bad["reason"] and good["height"] > 0
+
+
+def test_the_command_has_the_defaults_of_the_library(folder, run):
+    parameters = json.loads(run("seven.png", "--json")[1])["parameters"]
+    assert Options(**parameters | {"lame": tuple(parameters["lame"])}) == Options()
+    result = inflate(label_image(DIGITS[0]))
+    assert (tuple(parameters["lame"]), parameters["element"], parameters["pressure"]) == (
+        result.lame, result.element, result.pressures[-1],
+    )  # fmt: skip
+    assert parameters["n_steps"] is None and len(result.load_steps) == 10
+
+
+def test_every_parameter_reaches_the_solver(folder, run):
+    options = ["--lame", "3", "0.3", "--pressure", "0.02", "--wall", "3", "--refine", "2", "--element", "q1"]
+    code, out, _ = run("seven.png", "--json", "--steps", "3", *options)
+    (record,) = json.loads(out)["structures"]
+    result = inflate(label_image(DIGITS[0], wall=3), 3, "q1", 2, 0.02, (3, 0.3))
+    assert code == 0 and record["height"] == describe(result).height
+
+
+@pytest.mark.parametrize("edge", EDGES)
+def test_any_edge_is_clamped(folder, run, edge):
+    code, out, _ = run("seven.png", "--json", "--steps", "2", "--clamp", edge, "--moose", "cases")
+    result = inflate(label_image(DIGITS[0], clamped=edge), 2, clamped=edge)
+    assert code == 0 and json.loads(out)["structures"][0]["height"] == describe(result).height
+    assert np.array_equal(meshio.read("cases/seven.e").point_sets["clamped"], np.flatnonzero(result.mesh.clamped))
+
+
+def test_history_is_followed_step_by_step(folder, run):
+    (folder / "plain.csv").write_text("0.005\n0.01\n\n0.0\n")
+    (folder / "sheet.csv").write_text("\ufeffpressure\r\n5e-3\r\n0.01\r\n0\r\n", encoding="utf-8")
+    result = inflate(label_image(DIGITS[0]), pressure=[0.005, 0.01, 0])
+    expected = [
+        {"time": t, "pressure": p, "height": shape.height, "width": shape.width, "hull_area": shape.hull_area}
+        for t, p, shape in zip(
+            (1 / 3, 2 / 3, 1), (0.005, 0.01, 0), (describe(result, k) for k in range(3)), strict=True
+        )
+    ]
+    for history in ("0.005,0.01,0", " 0.005, 1e-2, 0.0", "plain.csv", "sheet.csv"):
+        code, out, _ = run("seven.png", "--json", "--history", history, "--moose", "cases")
+        (record,) = json.loads(out)["structures"]
+        assert code == 0 and record["load_steps"] == expected
+        assert record["height"] == pytest.approx(describe(result.nodes).height, abs=1e-11)
+        assert "y = '0 0.005 0.01 0.0'" in (folder / "cases" / "seven.i").read_text()
+
+
+def test_files_carry_the_name_of_their_structure(folder, run):
+    wanted = ["--vtk", "out/pv.vtu", "--moose", "cases", "--plot", "out/p.png"]
+    code, out, _ = run("seven.png", *wanted, "--steps", "2", "--json")
+    assert code == 0 and json.loads(out)["structures"][0]["files"] == [
+        "cases/seven.i", "cases/seven.e", "out/p.png", "out/pv.pvd", "out/pv.vtu",
+    ]  # fmt: skip
+    with Image.open("out/p.png") as picture:
+        assert min(picture.size) > 200
+    for name in ("pv_002.vtu", "pv.vtu"):
+        assert np.isfinite(meshio.read(folder / "out" / name).point_data["displacement"]).all()
+    (folder / "again").mkdir()
+    Image.fromarray(DIGITS[1]).save("again/seven.png")
+    code, out, _ = run("seven.png", "again/seven.png", "--moose", "cases", "--vtk", "two.pvd", "--steps", "1", "--json")
+    assert code == 0 and [record["files"] for record in json.loads(out)["structures"]] == [
+        ["cases/seven.i", "cases/seven.e", "two_seven.pvd"],
+        ["cases/seven-2.i", "cases/seven-2.e", "two_seven-2.pvd"],
+    ]
+
+
+def test_a_structure_without_equilibrium_is_a_failure_with_a_reason(folder, run):
+    code, out, err = run("seven.png", "--pressure", "5", "--json", "--moose", "cases")
+    (record,) = json.loads(out)["structures"]
+    assert code == 1 and not record["converged"] and "no equilibrium found" in record["reason"]
+    assert record["files"] == ["cases/seven.i", "cases/seven.e"] and "no equilibrium" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--colour", "pretty"], "von-mises, stretch"),
+        (["--engine", "other"], "built-in, moose"),
+        (["--engine", "moose"], "--moose DIR"),
+        (["--gif", "a.mp4"], r".gif"),
+        (["--vtk", "a.xdmf"], ".pvd or .vtu"),
+        (["--lame", "-1", "1"], "lame"),
+        (["--element", "q9"], "mean-dilatation"),
+        (["--clamp", "ceiling"], "bottom, left, top, right"),
+        (["--history", "0.01", "--pressure", "0.01"], "--pressure"),
+        (["--history", "0.01", "--steps", "1"], "--steps"),
+        (["--history", "0.01,high"], "0.01,high is neither"),
+        (["--history", "nothing.csv"], "nothing.csv is neither"),
+        (["--history", "bad.png"], "bad.png must have one pressure per line"),
+        (["--history", "table.csv"], "table.csv must have one pressure per line"),
+        (["--history", "empty.csv"], "pressure must be"),
+        (["--history", "0.01,nan"], "pressure must be"),
+    ],
+)
+def test_options_that_make_no_sense_are_one_line(folder, run, arguments, message):
+    (folder / "table.csv").write_text("0.5,0.005\n1,0.01\n")
+    (folder / "empty.csv").write_text("pressure\n")
+    code, _, err = run("seven.png", *arguments)
+    assert code == 1 and message in err and "Traceback" not in err
+
+
+def test_without_moose_the_engine_says_so(folder, run, monkeypatch):
+    monkeypatch.setenv("PATH", str(folder))
+    code, _, err = run("seven.png", "--engine", "moose", "--moose", "cases")
+    assert code == 1 and "MOOSE is not here" in err
+
+
+def test_pictures_of_another_size_are_fitted_on_request(folder):
+    images, note = read_images("drawing.png", resize=True, invert=True)
+    assert note == "resized from 112 × 112" and np.array_equal(images[0], DIGITS[1])
+    Image.fromarray(np.full((10, 40), 255, dtype=np.uint8)).save("wide.png")
+    (wide,), _ = read_images("wide.png", resize=True)
+    assert wide.shape == (28, 28) and wide[11:17].min() == 255 and not wide[:10].any() and not wide[18:].any()
+    (record,) = simulate_files(["drawing.png"], Options(resize=True, invert=True, n_steps=1))
+    assert record["converged"] and record["note"] == "resized from 112 × 112"
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "message"),
+    [
+        ("deep.png", lambda p: Image.fromarray(np.zeros((28, 28), dtype=np.uint16)).save(p), "8 bits"),
+        ("clear.png", lambda p: Image.new("RGBA", (28, 28)).save(p), "transparent"),
+        ("cut.png", lambda p: p.write_bytes((p.parent / "seven.png").read_bytes()[:60]), "cannot be read"),
+        ("cube.npy", lambda p: np.save(p, np.zeros((2, 3, 4, 5))), "shape"),
+        ("none.npy", lambda p: np.save(p, np.zeros((0, 28, 28))), "shape"),
+        ("object.npy", lambda p: np.save(p, np.array([None]), allow_pickle=True), "NumPy"),
+        ("empty.npy", lambda p: p.write_bytes(b""), "NumPy"),
+    ],
+)
+def test_files_that_are_no_image_are_named(folder, name, write, message):
+    write(folder / name)
+    with pytest.raises(ValueError, match=f"{name}.*{message}"):
+        read_images(folder / name)
+
+
+def test_colour_and_palette_pictures_are_read_as_grey(folder):
+    for mode in ("RGB", "1", "P"):
+        Image.fromarray(255 * (DIGITS[0] > 127).astype(np.uint8)).convert(mode).save("other.png")
+        assert np.array_equal(read_images("other.png")[0][0] > 127, DIGITS[0] > 127)

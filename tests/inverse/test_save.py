@@ -1,0 +1,231 @@
+"""What a design is handed out as, read by programs that are not ours; and that half of it is never handed out."""
+
+import errno
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import count
+
+import meshio
+import numpy as np
+import pandas as pd
+import pytest
+import svgpathtools
+import trimesh
+import xarray as xr
+from PIL import Image
+
+from inflate_lib import describe, inflate, label_image
+from inflate_lib.inverse import save
+from inflate_lib.inverse.constraints import Constraints
+from inflate_lib.inverse.save import mould, opened_grid, outline_svg, part, save_designs, search_record, write_stl
+from inflate_lib.inverse.search import Design, Designs
+from inflate_lib.inverse.targets import Targets, errors
+from inflate_lib.io.pictures import read_images
+from inflate_lib.io.vtk import write_vtk
+from inflate_lib.structures.labels import FRAME, VOID, WALL
+from inflate_lib.structures.sources import load_sevens
+
+DIGITS = load_sevens("digits").images
+
+
+def pinch(label):
+    """Number of lattice points at which two wall pixels meet corner to corner only."""
+    wall = np.pad(label == WALL, 1)
+    a, b, c, d = wall[:-1, :-1], wall[:-1, 1:], wall[1:, :-1], wall[1:, 1:]
+    return int(((a == d) & (b == c) & (a != b)).sum())
+
+
+def diagonal():
+    """A structure whose cavity has steps across corners: a hinge of two wall pixels in its middle."""
+    image = np.zeros((28, 28))
+    image[6:12, 6:12] = image[12:18, 12:18] = 1
+    return label_image(image)
+
+
+LABELS = [label_image(image) for image in DIGITS[:4]] + [diagonal()]
+
+
+@pytest.fixture(scope="module")
+def designs():
+    """Two structures as though they had been searched for."""
+    targets, found = Targets(height=0.9, width=0.8), []
+    for number, image in enumerate(DIGITS[:2]):
+        result = inflate(label_image(image), n_steps=2)
+        shape = describe(result)
+        miss = errors(targets, shape)
+        origin = {"seed": 1, "row": number, "conditions": [0.9, float("nan")], "drawing": "as drawn"}
+        label = label_image(image)
+        found.append(Design(label, result, shape, miss, number == 0, number, origin))
+    model = {"descriptor": "box", "weights": "0123", "source": "digits"}
+    constraints = Constraints(min_void=1 / 28)
+    return Designs(found, found[:1], targets, constraints, 0.01, 2, None, 7, model, {"sampler": "ddim"}, tried=9)
+
+
+@pytest.mark.parametrize("label", LABELS)
+def test_solids_are_closed_and_of_the_right_volume(label, tmp_path):
+    wall = (label == WALL).sum() / FRAME**2
+    notches = (2 * save.NOTCH**2) * pinch(label) / FRAME**2
+    size, depth, base = 70.0, 12.0, 3.0
+    frame = size**2 * ((FRAME + 2) / FRAME) ** 2
+    volumes = {"part": size**2 * (wall - notches) * depth}
+    volumes["mould"] = frame * (base + depth) - volumes["part"]
+    for name, solid in (("part", part(label, size, depth)), ("mould", mould(label, size, depth, base))):
+        write_stl(tmp_path / f"{name}.stl", *solid)
+        read = trimesh.load_mesh(tmp_path / f"{name}.stl")
+        assert read.is_watertight and read.is_winding_consistent and read.is_volume
+        assert read.volume == pytest.approx(volumes[name], rel=1e-5)
+        assert read.body_count == 1
+    assert np.ptp(read.vertices, axis=0) == pytest.approx([size * 30 / 28, size * 30 / 28, base + depth], rel=1e-6)
+
+
+def windings(points, triangles, at):
+    """How often a surface winds around a point: its solid angle over 4π (Van Oosterom and Strackee 1983)."""
+    a, b, c = np.moveaxis(points[triangles] - np.asarray(at, dtype=float), 1, 0)
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    below = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+    return np.arctan2(np.einsum("ij,ij->i", a, np.cross(b, c)), below).sum() / (2 * np.pi)
+
+
+def test_the_core_of_the_mould_is_where_the_cavity_is():
+    label = LABELS[0]
+    row, column = np.argwhere(label == VOID)[10]
+    wall_row, wall_column = np.argwhere(label == WALL)[10]
+    cavity, trough = (column + 0.5, 27.5 - row), (wall_column + 0.5, 27.5 - wall_row)
+    surface = mould(label, 28.0, 5.0, 2.0)
+    for at, inside in (
+        ((*cavity, 6), 1),
+        ((*trough, 6), 0),
+        ((*trough, 1), 1),
+        ((-0.5, -0.5, 6), 1),
+        ((-1.5, 0, 1), 0),
+    ):
+        assert windings(*surface, at) == pytest.approx(inside, abs=1e-9)
+    assert windings(*part(label, 28.0, 5.0), (*trough, 2)) == pytest.approx(1, abs=1e-9)
+    assert windings(*part(label, 28.0, 5.0), (*cavity, 2)) == pytest.approx(0, abs=1e-9)
+
+
+def test_pinches_are_opened_and_nothing_else_is_touched():
+    assert pinch(LABELS[-1]) >= 1 and pinch(LABELS[0]) == 0
+    x, y, cells = opened_grid(LABELS[0])
+    assert np.array_equal(cells, LABELS[0][::-1]) and np.allclose(28 * x, np.arange(29))
+    x, y, cells = opened_grid(LABELS[-1])
+    area = np.diff(y)[:, None] * np.diff(x)
+    opened = pinch(LABELS[-1]) * 2 * save.NOTCH**2 / FRAME**2
+    assert (area * (cells == WALL)).sum() == pytest.approx((LABELS[-1] == WALL).mean() - opened)
+    assert (area * (cells == VOID)).sum() == pytest.approx((LABELS[-1] == VOID).mean() + opened)
+    assert pinch(cells) == 0
+
+
+@pytest.mark.parametrize("label", LABELS)
+def test_the_outline_is_closed_and_in_millimetres(label, tmp_path):
+    (tmp_path / "a.svg").write_text(outline_svg(label, size_mm=56))
+    (path,), _, attributes = svgpathtools.svg2paths2(str(tmp_path / "a.svg"))
+    assert attributes["width"] == attributes["height"] == "56mm" and attributes["viewBox"] == "0 0 56 56"
+    borders = path.continuous_subpaths()
+    assert len(borders) == 2 and all(border.isclosed() for border in borders)
+    cavity, outer = sorted(abs(border.area()) for border in borders)
+    notches = 2 * save.NOTCH**2 * pinch(label)
+    assert cavity == pytest.approx(4 * ((label == VOID).sum() + notches), rel=1e-4)
+    assert outer == pytest.approx(4 * (label > 0).sum(), rel=1e-4)
+    left, right, top, bottom = path.bbox()
+    rows, columns = np.nonzero(label)
+    assert (left, right) == pytest.approx((2 * columns.min(), 2 * columns.max() + 2))
+    assert (top, bottom) == pytest.approx((2 * rows.min(), 56))  # SVG counts downwards; the clamped edge is below
+
+
+def test_every_file_is_read_by_others(designs, tmp_path):
+    sheet, table, *folders = save_designs(designs, tmp_path / "out", size_mm=80, depth_mm=15)
+    assert [folder.name for folder in folders] == ["design_01", "design_02"]
+    with Image.open(sheet) as picture:
+        assert min(picture.size) > 200
+    rows = pd.read_csv(table)
+    assert rows["within"].tolist() == [True, False]
+    for one, folder, row in zip(designs.designs, folders, rows.to_dict("records"), strict=True):
+        assert row["height"] == pytest.approx(one.shape.height, rel=1e-7)
+        assert row["error width (%)"] == pytest.approx(100 * one.errors["width"], rel=1e-6)
+        (image,), _ = read_images(folder / "structure.png")
+        assert np.array_equal(label_image(image), one.label)  # `inflate simulate` gets the same structure
+        for name in ("part", "mould"):
+            assert trimesh.load_mesh(folder / f"{name}.stl").is_watertight
+        assert len(svgpathtools.svg2paths(str(folder / "outline.svg"))[0]) == 1
+        last = meshio.read(folder / "inflated_002.vtu")
+        assert np.allclose(last.point_data["displacement"][:, :2], one.result.displacement[-1])
+        mesh = xr.load_dataset(folder / "moose" / f"{folder.name}.e", engine="scipy")
+        assert np.array_equal(mesh["connect1"] - 1, one.result.cells)
+        assert f"file = {folder.name}.e" in (folder / "moose" / f"{folder.name}.i").read_text()
+        record = json.loads((folder / "design.json").read_text())
+        assert record["achieved"]["height"] == one.shape.height and record["search"]["seed"] == 7
+        assert record["origin"]["conditions"] == [0.9, None]
+        assert record["search"]["model"]["weights"] == "0123" and record["search"]["versions"]["numpy"]
+        assert record["search"]["constraints"] == {"min_void": 1 / 28}
+    assert json.loads((tmp_path / "out" / "designs.json").read_text()) == json.loads(json.dumps(search_record(designs)))
+    assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("broken"), OSError(errno.ENOSPC, "No space left")])
+def test_a_stop_in_the_middle_leaves_nothing(designs, tmp_path, monkeypatch, error):
+    calls = count()
+    write = write_vtk
+
+    def stop(*arguments):
+        if next(calls) == 1:  # the second design
+            raise error
+        return write(*arguments)
+
+    monkeypatch.setattr(save, "write_vtk", stop)
+    with pytest.raises(type(error)) as stopped:
+        save_designs(designs, tmp_path / "new" / "out")
+    assert os.listdir(tmp_path / "new") == []
+    if isinstance(error, OSError):
+        assert "No space left; no designs were written" in str(stopped.value) and "out" in str(stopped.value)
+
+
+def test_a_full_disk_is_a_clear_error(designs, tmp_path):
+    """The limit on the size of a file stands in for the disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+        with pytest.raises(OSError, match=r"File too large; no designs were written: make room") as stopped:
+            save_designs(designs, tmp_path / "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert stopped.value.filename == str(tmp_path / "out")
+    assert os.listdir(tmp_path) == []
+
+
+def test_what_is_there_is_kept_unless_told_otherwise(designs, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "mine.txt").write_text("kept")
+    with pytest.raises(FileExistsError, match="not empty"):
+        save_designs(designs, out)
+    with pytest.raises(FileExistsError, match="a file of this name"):
+        save_designs(designs, out / "mine.txt")
+    assert [path.name for path in out.iterdir()] == ["mine.txt"]
+    save_designs(designs, out, overwrite=True)
+    assert not (out / "mine.txt").exists() and (out / "contact_sheet.png").exists()
+
+
+def test_the_remains_of_a_killed_run_are_swept(designs, tmp_path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    (tmp_path / f".out.{ended.pid}.partial").mkdir()
+    (tmp_path / f".out.{os.getppid()}.partial").mkdir()  # this one is at work
+    save_designs(designs, tmp_path / "out")
+    assert sorted(os.listdir(tmp_path)) == [f".out.{os.getppid()}.partial", "out"]
+
+
+@pytest.mark.parametrize("sizes", [{"size_mm": 0}, {"depth_mm": float("nan")}, {"size_mm": True}])
+def test_sizes_that_are_none_are_refused(designs, tmp_path, sizes):
+    with pytest.raises(ValueError, match="positive number of millimetres"):
+        save_designs(designs, tmp_path / "out", **sizes)
+    with pytest.raises(ValueError, match="no design to write"):
+        save_designs(replace(designs, designs=[]), tmp_path / "out")
+    assert os.listdir(tmp_path) == []

@@ -1,0 +1,448 @@
+"""The search: what it hands out is what was asked for, it says so where it is not, and it ends."""
+
+import os
+import re
+import sys
+from collections import Counter
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from inflate_lib import describe, design, inflate, label_image, paths
+from inflate_lib.cli import app
+from inflate_lib.datasets.simulate import simulate_dataset
+from inflate_lib.descriptors import PARTS
+from inflate_lib.diffusion import TrainedModel, TrainingConfig
+from inflate_lib.inverse import search as searching
+from inflate_lib.inverse.constraints import Constraints, is_symmetric, mirrored
+from inflate_lib.inverse.refine import attempt, refine, with_flipped
+from inflate_lib.inverse.search import MODELS, corrected, diverse, find_model
+from inflate_lib.inverse.targets import Targets, errors
+from inflate_lib.mechanics import stress
+from inflate_lib.plotting.designs import plot_designs
+from inflate_lib.structures.labels import FRAME, PIXEL, VOID, WALL
+from inflate_lib.structures.sources import load_sevens
+
+DIGITS = load_sevens("digits").images
+
+
+@pytest.fixture(scope="module")
+def data():
+    data = simulate_dataset(DIGITS)
+    assert data.converged.all()
+    return data
+
+
+@pytest.fixture
+def model(monkeypatch):
+    """A model that draws the embedded sevens in order, whatever it is told, and keeps what it is told."""
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1)
+    net = config.make_net(1)
+    model = TrainedModel(net.eval(), config, np.array([0.3]), np.array([1.6]), metadata={"source": "digits"})
+    model.told = []
+
+    def draw(drawn_by, conditions, seed, **sampling):
+        assert drawn_by is model and 0 <= seed < 2**32
+        start = sum(len(told) for told in model.told)
+        model.told.append(conditions)
+        return DIGITS[(start + np.arange(len(conditions))) % len(DIGITS)].astype(np.float32) / 255
+
+    monkeypatch.setattr(searching, "generate", draw)
+    return model
+
+
+@pytest.fixture
+def search(model, data):
+    def search(targets, n=3, **options):
+        defaults = {"max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1, "refine": 0}
+        return design(targets, n, model=("height", model), data=data, **defaults | options)
+
+    return search
+
+
+def test_designs_are_what_they_claim(search, data):
+    targets = {"height": float(np.median(data.height)), "width": float(np.median(data.width))}
+    found = search(targets, 3, tolerance=0.05)
+    assert len(found.designs) == 3 and found.within >= 3 and all(one.within for one in found.designs)
+    for one in found.designs:
+        assert np.array_equal(one.label, label_image(DIGITS[one.candidate]))
+        again = describe(inflate(one.label))
+        assert (again.height, again.width) == pytest.approx((one.shape.height, one.shape.width), rel=1e-9)
+        assert one.errors["height"] == pytest.approx(abs(again.height / targets["height"] - 1), abs=1e-9)
+        assert one.error == max(one.errors.values()) <= 0.05
+    assert [one.error for one in found.designs] == sorted(one.error for one in found.designs)
+    assert f"3 of 3 designs within 0.05 of every target, chosen from {found.within}" in found.summary()
+    table = found.table()
+    assert table["error height (%)"].tolist() == [100 * one.errors["height"] for one in found.designs]
+
+
+def test_every_candidate_is_accounted_for(search, data):
+    """Against the data set, which labelled, inflated and measured the same pictures by itself."""
+    height = float(data.height.quantile(0.6))
+    found = search({"height": height}, 200, tolerance=0.02)
+    crossing = int((data.contact_step > 0).sum())
+    distinct = len({image.tobytes() for image in DIGITS[data.contact_step.values == 0]})
+    assert found.tried == len(DIGITS) and found.rejected["have walls that cross when inflated"] == crossing
+    kept = found.tried - sum(found.rejected.values())
+    assert kept <= distinct
+    hits = (abs(data.height / height - 1) <= 0.02) & (data.contact_step == 0)
+    assert found.within <= int(hits.sum()) and found.within >= int(hits.sum()) - found.rejected["the same as another"]
+    assert "as many as were allowed" in found.summary()
+
+
+def test_misses_fill_up_and_are_marked(search, data):
+    found = search({"height": float(data.height.max()) * 0.9999}, 5, tolerance=1e-3)
+    good = [one.within for one in found.designs]
+    assert len(good) == 5 and good == sorted(good, reverse=True) and sum(good) == found.within < 5
+    assert f"the other {5 - sum(good)} are the nearest misses" in found.summary()
+    misses = [one.error for one in found.designs if not one.within]
+    assert misses == sorted(misses) and misses[0] > 1e-3
+    fig = plot_designs(found)
+    titles = [ax.get_title(loc="left") for ax in fig.axes]
+    assert sum("missed" in title for title in titles) == 5 - sum(good)
+    import matplotlib.pyplot as plt
+
+    plt.close(fig)
+
+
+def test_it_stops_when_there_is_enough_or_the_time_is_up(search, data, monkeypatch):
+    monkeypatch.setattr(searching, "BATCH", 16)
+    target = {"height": float(np.median(data.height))}
+    found = search(target, 2, tolerance=0.2)
+    assert found.tried == 16 and found.stopped == "enough to choose from"
+    found = search(target, 150, tolerance=0.001, seconds=1e-6)
+    assert found.tried == 16 and "the time of 1e-06 s was up" in found.summary()  # a batch is finished
+
+
+def test_the_seed_decides(model, search, data, monkeypatch):
+    seeds = []
+    draw = searching.generate
+    monkeypatch.setattr(searching, "generate", lambda *a, seed, **k: (seeds.append(seed), draw(*a, seed=seed, **k))[1])
+    monkeypatch.setattr(searching, "BATCH", 60)
+    search({"height": 0.9}, 60, seed=3)
+    search({"height": 0.9}, 60, seed=3)
+    search({"height": 0.9}, 60, seed=4)
+    first, again, other = (seeds[start : start + 3] for start in (0, 3, 6))
+    assert first == again and len({*first, *other}) == 6
+
+
+def test_a_biased_model_is_told_what_makes_it_hit():
+    """It answers with g(y) = 0.6 y + 0.3; told y, moved by each miss, the answer converges to what is wanted."""
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1)
+    model = TrainedModel(None, config, np.array([0.5]), np.array([2.0]))
+    wanted = np.array([1.1])
+    aim = wanted
+    for _ in range(12):
+        answer = 0.6 * aim + 0.3 + np.array([[-0.02], [0.0], [0.02]])
+        aim = corrected(aim, wanted, answer, model)
+    assert 0.6 * aim + 0.3 == pytest.approx(wanted, abs=1e-4)
+    assert corrected(np.array([1.9]), wanted, np.array([[0.2]]), model) == 2.0  # never beyond what it has seen
+
+
+def test_the_next_batch_is_told_the_correction(search, model, data, monkeypatch):
+    monkeypatch.setattr(searching, "BATCH", 64)
+    found = search({"height": 0.9}, 150, tolerance=1e-3)
+    told = [conditions[0, 0] for conditions in model.told]
+    assert told[0] == 0.9 and len(found.designs) == 150 and len(told) == 3
+    drawn = data.isel(structure=slice(0, 64))
+    answer = float(drawn.height[drawn.contact_step == 0].median())
+    assert told[1] == pytest.approx(0.9 - (answer - 0.9), abs=1e-9)
+
+
+def test_diversity_is_greedy_max_min():
+    labels = [label_image(image) for image in DIGITS[:25]]
+    aligned = [searching._aligned(label) for label in labels]
+
+    def distance(a, b):
+        either = (a > 0) | (b > 0)
+        return (a != b)[either].sum() / either.sum()
+
+    chosen = diverse(labels, 6)
+    assert chosen[0] == 0 and len(set(chosen)) == 6
+    for k in range(1, 6):
+        nearest = [min(distance(aligned[i], aligned[j]) for j in chosen[:k]) for i in range(25)]
+        assert nearest[chosen[k]] == pytest.approx(max(nearest))
+    assert sorted(diverse(labels, 40)) == list(range(25)) and diverse([], 3) == []
+
+
+def test_the_same_structure_elsewhere_is_not_another():
+    label = label_image(DIGITS[0])
+    shifted = [np.roll(label, shift, axis=1) for shift in (-2, 1, 2)]
+    other = label_image(DIGITS[1])
+    assert diverse([label, *shifted, other], 2) == [0, 4]
+
+
+def test_constraints_hold_for_all_that_is_handed_out(search, data):
+    height = float(np.median(data.height))
+    free = search({"height": height}, 10, tolerance=0.2, max_candidates=100)
+    least = float(np.median([(one.label == WALL).mean() for one in free.designs]))
+    for demand, holds in (
+        (Constraints(max_material=least), lambda one: (one.label == WALL).mean() <= least * (1 + 1e-9)),
+        (Constraints(min_void=3 * PIXEL), lambda one: _opened(one.label)),
+        (Constraints(keep_out=(0.0, 0.0, 0.2, 2.0)), lambda one: min(_lefts(one)) > 0.2),
+        (Constraints(symmetric=True), lambda one: is_symmetric(one.label)),
+    ):
+        found = search({"height": height}, 4, tolerance=0.3, constraints=demand, max_candidates=100)
+        assert found.designs and all(holds(one) for one in found.designs), demand
+        assert all(not demand.broken_by(one.label) for one in found.designs)
+        (name,) = demand.as_dict()
+        if name != "symmetric":
+            assert found.rejected[f"break {name}"] > 0 or name == "keep_out"
+
+
+def _opened(label):
+    """Whether squares of 3 × 3 pixels fill the cavity but for a rim of one pixel."""
+    void, square = label == VOID, np.ones((3, 3))
+    return not (void & ~ndimage.binary_dilation(ndimage.binary_opening(void, square), square)).any()
+
+
+def _lefts(one):
+    return [nodes[:, 0].min() for nodes in (one.result.nodes, *(one.result.nodes + one.result.displacement))]
+
+
+def test_a_symmetric_structure_has_an_upright_axis(search):
+    with pytest.raises(ValueError, match=r"leans by 0.*leave out --symmetric"):
+        search({"axis": [(0, 0), (0.3, 0.9)]}, constraints=Constraints(symmetric=True))
+
+
+def test_near_misses_are_brought_nearer(search, model, data):
+    """Refined hits are structures that the search alone does not have; the others are as they were."""
+    target = {"height": float(np.median(data.height)), "width": float(np.median(data.width))}
+    plain = search(target, 40, tolerance=0.02, max_candidates=64)
+    model.told.clear()  # so that the same are drawn again
+    found = search(target, 40, tolerance=0.02, max_candidates=64, refine=40)
+    assert found.within == plain.within + found.refined > plain.within and plain.refined == 0
+    assert f"{found.refined} of the {found.within} were near misses" in found.summary()
+    drawn = {one.candidate: one for one in plain.pool}
+    for one in found.pool:
+        if "flipped" not in one.origin:
+            assert np.array_equal(one.label, drawn[one.candidate].label)
+            continue
+        assert 0 < len(one.origin["flipped"]) <= 40 and one.within
+        label = label_image(DIGITS[one.candidate])
+        for row, column in one.origin["flipped"]:  # the record says how to make it again
+            label = label_image(with_flipped(label, row, column))
+        assert np.array_equal(label, one.label)
+        again = describe(inflate(one.label))
+        assert errors(found.targets, again) == pytest.approx(one.errors, abs=1e-9)
+    assert {one.candidate for one in found.pool} >= set(drawn)
+
+
+def test_refinement_never_makes_it_worse_and_keeps_the_demands(data):
+    for demand in (Constraints(symmetric=True), Constraints(min_void=2 * PIXEL), Constraints(keep_out=(0, 0, 0.2, 2))):
+        started = 0
+        for image in DIGITS[:12]:
+            image = mirrored(image / 255)[-1] if demand.symmetric else image / 255
+            reason, label, result = attempt(image, demand)
+            if reason:
+                continue
+            started += 1
+            shape = describe(result)
+            targets = Targets(height=1.03 * shape.height, width=shape.width)
+            better, inflated, flipped = refine(label, result, targets, demand, goal=0.01, tries=15, seed=1)
+            before, after = (max(errors(targets, describe(one)).values()) for one in (result, inflated))
+            assert not demand.broken_by(better) and not demand.broken_when_inflated(inflated)
+            assert after < before if flipped else np.array_equal(better, label)
+            assert np.allclose(inflate(better).displacement, inflated.displacement, atol=1e-9)
+        assert started >= 3
+
+
+def test_stress_can_be_chosen_at_equal_height(search, data):
+    height = float(np.median(data.height))
+    found = {
+        prefer: search({"height": height}, 5, tolerance=0.05, prefer=prefer) for prefer in ("low-stress", "high-stress")
+    }
+    low, high = ([one.shape.peak_stress for one in found[prefer].designs] for prefer in found)
+    assert len(low) == len(high) == 5 and low == sorted(low) and high == sorted(high, reverse=True)
+    assert max(low) < min(high)
+    for one in [one for designs in found.values() for one in designs.designs]:
+        assert abs(one.shape.height / height - 1) <= 0.05
+        assert one.shape.peak_stress == stress.von_mises(one.result)[-1].max()
+        assert one.shape.peak_stretch == stress.largest_stretch(one.result)[-1].max() > 1
+
+
+def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
+    """Whichever weights are there: the single one that takes most, and the joint one for what no other takes."""
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path)
+    everything = {"height": 1.0, "width": 0.9, "area": 0.7, "axis": [(0, 0), (0, 1.0)]}
+
+    def weights(name):
+        n = {"joint": 65, "axis": 60, "box": 2}.get(name, 1)
+        config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()) if n == 65 else ())
+        model = TrainedModel(config.make_net(n), config, np.zeros(n), np.ones(n), metadata={"descriptor": name})
+        model.save(tmp_path / "laptop" / f"{name}.safetensors")
+
+    for name in ("height", "width", "area", "box", "axis"):
+        weights(name)
+    for asked, name in (
+        (["height"], "height"), (["width"], "width"), (["height", "width"], "box"), (["width", "area"], "area"),
+        (["height", "width", "area"], "box"), (["axis"], "axis"), (list(everything), "axis"),
+    ):  # fmt: skip
+        targets = Targets(**{key: everything[key] for key in asked})
+        found, model = find_model(targets)
+        assert found == model.metadata["descriptor"] == name
+        assert len(targets.vector(name)) == len(model.condition_min) and np.isfinite(targets.vector(name)).all()
+    weights("joint")
+    assert find_model(Targets(**everything))[0] == "axis"
+    found, model = find_model(Targets(height=1.0, stress=0.2))
+    assert found == "joint" and len(model.condition_min) == 65
+    (tmp_path / "laptop" / "height.safetensors").unlink()
+    assert find_model(Targets(height=1.0))[0] == "joint"
+    assert set(MODELS) == {"joint", "axis", "box", "area", "width", "height"}
+
+
+def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
+    """The whole way with untrained weights: nothing usable may come out, and then that is what it says."""
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()))
+    model = TrainedModel(config.make_net(65).eval(), config, np.full(65, -2.0), np.full(65, 2.0))
+    options = {"sampling": {"sampler": "ddim", "steps": 2}, "max_candidates": 8, "say": None, "data": data}
+    found = design({"height": 0.9}, 2, model=("joint", model), **options)
+    assert found.tried == 8 and sum(found.rejected.values()) <= 8
+    assert len(found.designs) <= 2 and found.summary()
+    assert found.table().columns[:3].tolist() == ["design", "within", "error height (%)"]
+
+
+def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, model, monkeypatch):
+    monkeypatch.setattr(searching, "BATCH", 16)
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()))
+    model.config, model.condition_min, model.condition_max = config, np.full(65, -5.0), np.full(65, 5.0)
+    height, stress = float(np.median(data.height)), float(np.median(data.peak_stress))
+    options = {"data": data, "max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1}
+    found = design({"height": height, "stress": stress}, 12, model=("joint", model), tolerance=0.1, **options)
+    told = model.told[0]
+    assert np.array_equal(told[0], Targets(height=height, stress=stress).vector("joint"), equal_nan=True)
+    assert np.isnan(told).sum(axis=1).tolist() == [63] * len(told)
+    assert model.told[1][0, 3] != told[0, 3] and np.isnan(model.told[1][:, 4:]).all()  # moved against the median miss
+    assert found.within >= 1
+    for one in found.pool:
+        assert abs(one.shape.height / height - 1) <= 0.1 and abs(one.shape.peak_stress / stress - 1) <= 0.1
+        assert one.errors["stress"] == pytest.approx(abs(one.shape.peak_stress / stress - 1), abs=1e-12)
+    assert "error stress (%)" in found.table()
+
+
+def test_stress_without_a_joint_model_is_refused_with_a_way_out(search, monkeypatch, tmp_path):
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path)
+    way_out = "stress and stretch can be asked of the joint model only.*inflate train --descriptor joint.*low-stress"
+    for refused in (find_model, lambda targets: search(targets)):
+        with pytest.raises(ValueError, match=way_out):
+            refused(Targets(height=0.9, stress=0.2, stretch=1.4))
+
+
+def test_a_joint_model_of_other_parts_is_refused(data):
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=(1, 1, 1, 60))
+    model = TrainedModel(config.make_net(63).eval(), config, np.zeros(63), np.full(63, 2.0))
+    with pytest.raises(ValueError, match="train it again"):
+        design({"height": 0.9}, 2, model=("joint", model), data=data, say=None)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"n": 0}, "n must be"),
+        ({"tolerance": 0}, "tolerance must be"),
+        ({"prefer": "cheap"}, "low-stress, high-stress"),
+        ({"seconds": -1}, "seconds must be"),
+        ({"max_candidates": 0}, "max_candidates must be"),
+        ({"seed": -1}, "seed must be"),
+        ({"seed": 1.5}, "seed must be"),
+        ({"refine": -1}, "refine must be"),
+    ],
+)
+def test_arguments_out_of_range_are_refused(search, options, message):
+    with pytest.raises(ValueError, match=message):
+        search({"height": 0.9}, **options)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path, model, data):
+    """Run the command with that model; returns exit code, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(searching, "find_model", lambda targets, profile=None: ("height", model))
+    monkeypatch.setattr(searching, "simulated_sevens", lambda source: data)
+
+    def command(*arguments):
+        monkeypatch.setattr(sys, "argv", ["inflate", "design", *arguments])
+        with pytest.raises(SystemExit) as end:
+            app.run()
+        code = end.value.code
+        out, err = capsys.readouterr()
+        return (1, out, err + code) if isinstance(code, str) else (code or 0, out, err)
+
+    return command
+
+
+def test_the_command_designs(run, data, tmp_path):
+    height = float(np.median(data.height))
+    options = ["--tolerance", "0.05", "-n", "2", "--size-mm", "50", "--min-void-mm", "1.7"]
+    code, out, err = run("--height", f"{height}", "--out", "designs", *options)
+    assert code == 0 and not err
+    assert "2 of 2 designs within 0.05" in out and "candidates" in out and re.search(r"written in \d+\.\d s", out)
+    assert sorted(path.name for path in (tmp_path / "designs").iterdir()) == [
+        "contact_sheet.png", "design_01", "design_02", "designs.csv", "designs.json",
+    ]  # fmt: skip
+    assert 'width="50mm"' in (tmp_path / "designs" / "design_01" / "outline.svg").read_text()
+
+
+def test_too_few_designs_are_written_and_the_exit_code_says_so(run, data):
+    code, out, _ = run("--height", f"{float(data.height.max())}", "--tolerance", "1e-6", "-n", "2", "--out", "out",
+                       "--candidates", "64")  # fmt: skip
+    assert code == 2 and "nearest misses" in out and os.listdir("out")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "nothing is asked for"),
+        (
+            ["--height", "3"],
+            r"height 3 is out of reach. The 179 inflated structures of the data set reach height 0\.\d+",
+        ),
+        (["--height", "1", "--width", "0.9", "--area", "1"], "larger than the box"),
+        (["--axis", "axis.csv"], "axis.csv, line 2"),
+        (["--outline", "cross.svg"], "cross.svg: outline: it crosses itself"),
+        (["--outline", "empty.svg"], "empty.svg: the outline is empty"),
+        (["--outline", "ring.svg"], "out of reach"),
+        (["--outline", "ring.svg", "--outline-unit", "0"], "unit of the outline"),
+        (["--outline", "ring.svg", "--height", "1"], "leave the others out"),
+        (["--height", "0.9", "--tolerance", "-1"], "tolerance"),
+        (["--height", "0.9", "--prefer", "nothing"], "low-stress"),
+        (["--height", "0.9", "--stress", "0.2"], "stress can be asked of the joint model only"),
+        (["--stretch", "0.5"], "at least 1, not 0.5"),
+        (["--height", "0.9", "--size-mm", "0"], "size_mm"),
+        (["--height", "0.9", "--depth-mm", "-1"], "depth_mm"),
+        (["--height", "0.9", "--min-void-mm", "500"], "min_void"),
+        (["--height", "0.9", "--keep-out-mm", "5", "0", "1", "9"], "left < right"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(run, tmp_path, arguments, message):
+    (tmp_path / "axis.csv").write_text("0,0\nzero,one\n")
+    (tmp_path / "empty.svg").write_text("<svg/>")
+    (tmp_path / "cross.svg").write_text("<svg><path d='M0 0 L9 9 L9 0 L0 9 z'/></svg>")
+    (tmp_path / "ring.svg").write_text("<svg><circle r='200'/></svg>")
+    before = Counter(os.listdir())
+    code, _, err = run("--out", "out", *arguments)
+    assert code == 1 and re.search(message, err) and "Traceback" not in err
+    assert Counter(os.listdir()) == before
+
+
+def test_a_folder_that_is_in_use_is_refused_before_the_search(run, model):
+    os.mkdir("out")
+    open("out/mine", "w").close()
+    code, _, err = run("--height", "0.9", "--out", "out")
+    assert code == 1 and "not empty" in err and not model.told
+
+
+def test_an_interrupted_search_says_so_and_writes_nothing(run, tmp_path, monkeypatch):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(searching, "generate", interrupted)
+    code, _, err = run("--height", "0.9", "--out", "out")
+    assert code == 130 and "interrupted; nothing was written to out" in err
+    assert os.listdir() == []
+
+
+def test_errors_of_nothing_are_none(data):
+    assert errors(Targets(height=1.0), describe(np.array([(0, 0), (1, 0), (0, 1.0)]))) == {"height": 0}
+    assert FRAME == 28

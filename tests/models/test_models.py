@@ -1,0 +1,306 @@
+"""Experiments: what models are trained on, and which weights are used."""
+
+import os
+import shutil
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import xarray as xr
+import yaml
+
+from inflate_lib import paths
+from inflate_lib._cache import RETRAIN
+from inflate_lib.book.profiles import load_profile
+from inflate_lib.datasets.pairs import training_pairs
+from inflate_lib.datasets.simulate import simulated_sevens
+from inflate_lib.datasets.split import held_out
+from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, descriptor_matrix, joint_conditions
+from inflate_lib.diffusion import TrainedModel
+from inflate_lib.diffusion.training import simple_loss
+from inflate_lib.models import train, weights
+from inflate_lib.models.train import train_models, training_config, training_cost
+from inflate_lib.models.weights import committed_weights, trained_models
+from inflate_lib.structures.augmentation import apply_variants, augment
+from inflate_lib.structures.sources import load_sevens, resolve_source
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Forty embedded digits with invented descriptors, each of which tells which structure it belongs to."""
+    images = load_sevens("digits").images[:40]
+    number = np.arange(40.0)
+    converged = number != 3
+    axes = np.repeat(number, 60).reshape(40, 30, 2)
+    return xr.Dataset(
+        {
+            "image": (("structure", "row", "column"), images),
+            "converged": ("structure", converged),
+            "height": ("structure", number),
+            "width": ("structure", number / 2),
+            "hull_area": ("structure", number / 3),
+            "medial_axis": (("structure", "point", "axis"), axes),
+            "peak_stress": ("structure", 0.1 + number / 40),
+            "peak_stretch": ("structure", 1.1 + number / 40),
+        },
+        attrs={"source": "digits"},
+    )
+
+
+def test_every_tenth_structure_is_held_out():
+    assert np.flatnonzero(held_out(40)).tolist() == [9, 19, 29, 39]
+    assert held_out(6265).sum() == 626 and not held_out(9).any()
+
+
+@pytest.mark.parametrize("n_augmented", [36, 100, 10**6])
+def test_no_variant_of_a_held_out_structure_is_trained_on(data, n_augmented):
+    images, conditions = training_pairs(data, "height", n_augmented)
+    seen = set(conditions[:, 0].astype(int))
+    assert seen == set(range(40)) - {3, 9, 19, 29, 39}  # 3 did not converge
+    assert len(images) == len(conditions) <= n_augmented
+    hidden = data["image"].values[held_out(40)]
+    variants = {image.tobytes() for image in apply_variants(hidden, augment(hidden))}
+    assert not variants & {image.tobytes() for image in images}
+
+
+def test_the_joint_descriptor_holds_the_others_side_by_side(data):
+    joint = descriptor_matrix(data, "joint")
+    assert joint.shape == (40, 65)
+    lengths = DESCRIPTORS | PHYSICAL
+    for name in lengths:
+        told = joint_conditions(name, descriptor_matrix(data, name))
+        asked = ~np.isnan(told)
+        assert asked.sum(1).tolist() == [lengths[name]] * 40
+        np.testing.assert_array_equal(told[asked], joint[asked])
+    np.testing.assert_array_equal(joint_conditions("joint", joint), joint)
+    conditions = training_pairs(data, "joint", 100)[1]
+    heights, axes = training_pairs(data, "height", 100)[1], training_pairs(data, "axis", 100)[1]
+    np.testing.assert_array_equal(conditions[:, [0]], heights)
+    np.testing.assert_array_equal(conditions[:, 5:], axes)  # mirrored where the image is
+    np.testing.assert_array_equal(conditions[:, 3:5], [0.1, 1.1] + heights / 40)  # peaks are not
+
+
+def test_the_split_follows_the_position_in_the_whole_data_set(data):
+    """A structure that fails must not move the others into or out of the held-out part."""
+    failed = data.assign(converged=("structure", np.arange(40) >= 5))
+    kept = set(training_pairs(failed, "height", 100)[1][:, 0].astype(int))
+    assert kept == set(range(5, 40)) - {9, 19, 29, 39}
+
+
+# --- which weights -------------------------------------------------------------------------------------------------
+
+TRAINING = {"channels": [4, 8], "embedding": 16, "steps": 4, "batch_size": 8, "learning_rate": 1e-3}
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    """A checkout with trained weights of one descriptor."""
+    home = tmp_path_factory.mktemp("home")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paths, "CACHE", home / "cache")
+        file = train_models(["box"], TRAINING, data, 100, log=home / "logs")["box"]
+    model = TrainedModel.load(file)
+    model.metadata |= {"profile": "small"}
+    model.save(home / "data" / "pretrained" / "small" / "box.safetensors", half=True)
+    return home
+
+
+@pytest.fixture
+def home(trained, tmp_path, monkeypatch):
+    """A copy of it with an empty cache, in which every attempt to train is an error."""
+    shutil.copytree(trained / "data", tmp_path / "data")
+    monkeypatch.setattr(paths, "ROOT", tmp_path)
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path / "data" / "pretrained")
+    monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
+    monkeypatch.delenv(RETRAIN, raising=False)
+
+    def no_training(names, *_):
+        raise RuntimeError(f"would train {names}")
+
+    monkeypatch.setattr(weights, "train_models", no_training)
+    return tmp_path
+
+
+def test_weights_tell_what_they_were_made_from(trained):
+    model = TrainedModel.load(trained / "data" / "pretrained" / "small" / "box.safetensors")
+    about = model.metadata
+    assert about["descriptor"] == "box" and about["source"] == "digits" and about["profile"] == "small"
+    assert about["structures"] == 39 and about["pairs"] == about["n_augmented"] == 100
+    assert about["held_out"] == "index % 10 == 9" and about["held_out_loss"] > 0 and about["seconds"] > 0
+    assert model.config.channels == (4, 8) and len(model.condition_min) == 2
+    rows = (trained / "logs" / "box" / "history.csv").read_text().splitlines()
+    assert rows[0] == "step,loss,simple,vlb,seconds"
+    np.testing.assert_allclose([float(row.split(",")[1]) for row in rows[1:]], model.history["loss"])
+
+
+def test_committed_weights_are_used_where_they_fit(home, data, capsys):
+    models = trained_models(["box"], {**TRAINING, "device": "cpu", "checkpoint_every": 3}, data, 100)
+    assert models["box"].metadata["profile"] == "small"
+    assert capsys.readouterr().out == "weights from data/pretrained/small: box\n"
+
+
+def test_other_digits_of_the_simulation_are_no_other_data(home, data):
+    jittered = data.assign(height=data["height"] * (1 + 1e-9))
+    assert trained_models(["box"], TRAINING, jittered, 100)
+
+
+@pytest.mark.parametrize("what", ["recipe", "seed", "pairs", "images", "simulation", "retrain"])
+def test_and_not_where_they_do_not(home, data, monkeypatch, capsys, what):
+    training, n_augmented, seed = TRAINING, 100, 0
+    if what == "recipe":
+        training = {**TRAINING, "learning_rate": 2e-3}
+    elif what == "seed":
+        seed = 1
+    elif what == "pairs":
+        n_augmented = 101
+    elif what == "images":
+        data = data.assign(image=data["image"][::-1])
+    elif what == "simulation":
+        data = data.assign(height=data["height"] * 1.001)
+    else:
+        monkeypatch.setenv(RETRAIN, "1")
+    with pytest.raises(RuntimeError, match="would train"):
+        trained_models(["box"], training, data, n_augmented, seed)
+    reasons = {"pairs": "n_augmented", "images": "data", "simulation": "simulation"}
+    text = capsys.readouterr().out
+    assert "trained for this run: box" in text
+    assert (f"box.safetensors is of another {reasons.get(what)}\n" in text) == (what in reasons)
+
+
+def test_damaged_weights_are_named(home, data):
+    path = home / "data" / "pretrained" / "small" / "box.safetensors"
+    path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(ValueError, match=r"small/box\.safetensors is truncated"):
+        trained_models(["box"], TRAINING, data, 100)
+
+
+@pytest.mark.slow
+@pytest.mark.mnist
+@pytest.mark.parametrize(
+    "path", sorted(paths.PRETRAINED.glob("*/*.safetensors")), ids=lambda path: f"{path.parent.name} {path.stem}"
+)
+def test_committed_weights_are_those_of_their_profile_and_still_mean_what_they_meant(path):
+    """A changed profile, data set or network would otherwise go unnoticed until somebody trains for an evening."""
+    if resolve_source() != "mnist":
+        pytest.skip("MNIST cannot be had: the committed weights are not checked")
+    name, profile = path.stem, path.parent.name
+    given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
+    data = simulated_sevens("mnist")
+    assert committed_weights(name, given["training"], data, given["n_augmented"], given["seed"]) == (path, "")
+    model = TrainedModel.load(path)
+    assert model.metadata["descriptor"] == name and model.metadata["profile"] == profile
+    unseen = data.isel(structure=np.flatnonzero(data["converged"].values & held_out(data.sizes["structure"])))
+    loss = simple_loss(model, unseen["image"].values, descriptor_matrix(unseen, name))
+    assert loss == pytest.approx(model.metadata["held_out_loss"], rel=5e-3)  # 16 bits
+
+
+def test_a_dry_run_projects_the_whole_training(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "CACHE", tmp_path)
+    cost = training_cost(["height", "area"], {**TRAINING, "steps": 5000}, data, 100, steps=6)
+    assert cost["descriptor"].tolist() == ["height", "area"] and (cost["steps"] == 5000).all()
+    np.testing.assert_allclose(cost["hours"], cost["seconds per step"] * 5000 / 3600)
+    np.testing.assert_allclose(cost["images per second"], 8 / cost["seconds per step"])
+    assert not list(tmp_path.iterdir())  # nothing is kept
+
+
+@pytest.mark.slow
+def test_the_command_trains_in_two_processes_as_in_one(tmp_path):
+    """`inflate train` alone and under torchrun: the same losses, and what is written is written once."""
+    home = tmp_path / "home"
+    (home / "notebooks" / "profiles").mkdir(parents=True)
+    (home / "notebooks" / "08_training.md").symlink_to(paths.NOTEBOOKS / "08_training.md")
+    common = {"source": "digits", "n_structures": 20, "n_augmented": 50, "training": TRAINING | {"checkpoint_every": 2}}
+    profile = {"name": "small", "description": "", "common": common, "notebooks": {}}
+    (home / "notebooks" / "profiles" / "small.yml").write_text(yaml.safe_dump(profile))
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    found = {}
+    for way, launcher in {"alone": ["-m"], "together": [*torchrun, "-m", "--"]}.items():
+        out = tmp_path / way
+        command = [sys.executable, *launcher, "inflate_lib", "train", "--profile", "small", "--descriptor", "box"]
+        command += ["--device", "cpu", "--out", str(out), "--log", str(out / "log")]
+        place = {"INFLATE_HOME": str(home), "INFLATE_CACHE": str(tmp_path / f"cache {way}"), "OMP_NUM_THREADS": "1"}
+        here = os.environ | place | {"PYTHONPATH": str(paths.ROOT)}
+        ended = subprocess.run(command, env=here, capture_output=True, text=True, timeout=600, check=False)
+        assert ended.returncode == 0, ended.stderr
+        assert sum(line.startswith("box: ") for line in ended.stdout.splitlines()) == 1  # one process tells the result
+        assert len((out / "log" / "box" / "history.csv").read_text().splitlines()) == 3  # steps 2 and 4
+        found[way] = TrainedModel.load(out / "box.safetensors")
+    alone, together = found.values()
+    for name, values in alone.history.items():
+        np.testing.assert_allclose(together.history[name], values, rtol=1e-5)
+    assert together.metadata["held_out_loss"] == pytest.approx(alone.metadata["held_out_loss"], rel=1e-3)
+
+
+def test_a_descriptor_may_have_a_number_of_steps_of_its_own():
+    training = TRAINING | {"steps": 10, "steps_of": {"area": 20}}
+    assert training_config("area", training, 3).steps == 20
+    assert training_config("height", training, 3) == training_config("height", TRAINING | {"steps": 10}, 3)
+    with pytest.raises(ValueError, match="unknown descriptor 'volume'"):
+        training_config("height", training | {"steps_of": {"volume": 20}})
+
+
+# --- training elsewhere --------------------------------------------------------------------------------------------
+
+BROUGHT_BY_PYTORCH = "torchgen functorch filelock fsspec jinja2 markupsafe mpmath networkx sympy typing_extensions.py"
+
+
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory):
+    """Run ``python -m inflate_lib.models.remote`` in an environment of its own: PyTorch, NumPy, safetensors, and no more."""
+    home = tmp_path_factory.mktemp("elsewhere")
+    venv.create(home, symlinks=True)
+    (there,) = home.glob("lib/python*/site-packages")
+    patterns = ["torch", "numpy", "numpy.libs", "safetensors", "nvidia", "triton", *BROUGHT_BY_PYTORCH.split()]
+    for pattern in patterns:
+        for package in Path(torch.__file__).parents[1].glob(pattern):
+            (there / package.name).symlink_to(package)
+    (there / "inflate_lib").symlink_to(paths.ROOT / "inflate_lib")
+    here = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"} | {"OMP_NUM_THREADS": "1"}
+
+    def run(*arguments):
+        command = [home / "bin" / "python", *map(str, arguments)]
+        return subprocess.run(command, env=here, cwd=home, capture_output=True, text=True, timeout=1200, check=False)
+
+    assert "No module named 'scipy'" in run("-c", "import scipy").stderr
+    return lambda *arguments: run("-m", "inflate_lib.models.remote", *arguments)
+
+
+@pytest.mark.slow
+def test_models_trained_elsewhere_are_the_same_to_the_bit(data, tmp_path, monkeypatch, elsewhere):
+    monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path / "pretrained")
+    recipe = TRAINING | {"device": "cpu", "checkpoint_every": 2}
+    file, out = tmp_path / "pairs.safetensors", tmp_path / "pretrained" / "small"
+    train.pack(file, ["box", "axis"], recipe, data, 100, profile="small")
+    asked = [file, "--out", out, "--device", "cpu", "--threads", 1]
+    ended = elsewhere(*asked)
+    assert ended.returncode == 0, ended.stderr
+    for name in ("box", "axis"):
+        assert committed_weights(name, recipe, data, 100) == (out / f"{name}.safetensors", "")
+        theirs = TrainedModel.load(out / f"{name}.safetensors")
+        ours = TrainedModel.load(train.trained_model_file(name, recipe, data, 100, threads=1))
+        assert theirs.history == ours.history
+        for mine, other in zip(ours.net.parameters(), theirs.net.parameters(), strict=True):
+            assert torch.equal(mine.half().float(), other)
+        known = [{k: v for k, v in m.metadata.items() if not k.startswith("seconds")} for m in (ours, theirs)]
+        assert known[1] == known[0] | {"profile": "small"} and known[0]["held_out_loss"] > 0
+    again = elsewhere(*asked)  # from the last checkpoints: nothing is trained twice
+    assert again.returncode == 0 and "step" not in again.stdout
+
+
+@pytest.mark.slow
+def test_a_pack_that_cannot_be_used_is_named_in_one_line(data, tmp_path, elsewhere):
+    file = tmp_path / "pairs.safetensors"
+    train.pack(file, ["box"], TRAINING, data, 100)
+    unknown = elsewhere(file, "--only", "height")
+    file.write_bytes(file.read_bytes()[:-7])
+    for ended, message in (
+        (elsewhere("none.safetensors"), "inflate: no pack file at none.safetensors\n"),
+        (unknown, f"inflate: {file} has no model 'height'; it has box\n"),
+        (elsewhere(file), f"inflate: {file} is truncated"),
+    ):
+        assert ended.returncode == 1 and ended.stderr.startswith(message) and ended.stderr.count("\n") == 1

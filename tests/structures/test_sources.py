@@ -1,0 +1,212 @@
+"""Images of sevens: MNIST files good and bad, no network, and the embedded digits."""
+
+import gzip
+import hashlib
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sklearn.datasets import load_digits
+
+from inflate_lib import paths
+from inflate_lib.structures import sources
+from inflate_lib.structures.sources import FILES, load_sevens, resolve_source
+
+IMAGES, LABELS = FILES["train"]
+
+
+@pytest.fixture
+def small_mnist(tmp_path, monkeypatch):
+    """A folder of ten-image IDX files that stand in for MNIST, with their checksums in place of the real ones."""
+    pixels = np.random.default_rng(0).integers(0, 256, (10, 28, 28), dtype=np.uint8)
+    digits = np.array([7, 0, 7, 1, 2, 7, 3, 4, 7, 9], np.uint8)
+    contents = {
+        IMAGES: np.array([2051, 10, 28, 28], ">i4").tobytes() + pixels.tobytes(),
+        LABELS: np.array([2049, 10], ">i4").tobytes() + digits.tobytes(),
+    }
+    for name, content in contents.items():
+        monkeypatch.setitem(sources.SHA256, name, hashlib.sha256(content).hexdigest())
+        (tmp_path / f"{name}.gz").write_bytes(gzip.compress(content))
+    monkeypatch.setenv("INFLATE_MNIST_DIR", str(tmp_path))
+    return tmp_path, pixels[digits == 7]
+
+
+@pytest.fixture
+def no_folder(tmp_path, monkeypatch):
+    """No folder named, an empty cache, and a network of which nothing is known yet."""
+    monkeypatch.delenv("INFLATE_MNIST_DIR", raising=False)
+    monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(sources, "_network_failure", None)
+
+
+def test_sevens_are_picked_in_order(small_mnist):
+    _, expected = small_mnist
+    assert resolve_source() == "mnist"
+    sevens = load_sevens()
+    assert np.array_equal(sevens.images, expected)
+    assert (sevens.source, sevens.description, len(sevens)) == ("mnist", "MNIST training sevens", 4)
+    assert np.array_equal(load_sevens(limit=2).images, expected[:2])
+
+
+def test_unzipped_files_do_as_well(small_mnist):
+    folder, expected = small_mnist
+    for zipped in folder.glob("*.gz"):
+        zipped.with_suffix("").write_bytes(gzip.decompress(zipped.read_bytes()))
+        zipped.unlink()
+    assert np.array_equal(load_sevens().images, expected)
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def flip_a_bit(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def change_a_pixel(path):
+    content = bytearray(gzip.decompress(path.read_bytes()))
+    content[-1] ^= 1
+    path.write_bytes(gzip.compress(content))
+
+
+def not_gzip(path):
+    path.write_bytes(b"<html>404</html>")
+
+
+def make_empty(path):
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize("source", ["auto", "mnist"])
+@pytest.mark.parametrize("name", FILES["train"])
+@pytest.mark.parametrize("damage", [truncate, flip_a_bit, change_a_pixel, not_gzip, make_empty])
+def test_damaged_files_are_named_and_not_used(small_mnist, damage, name, source):
+    folder, _ = small_mnist
+    damage(folder / f"{name}.gz")
+    with pytest.raises(ValueError, match=f"{name}.gz is (corrupt|not MNIST)"):
+        load_sevens(source)
+
+
+def test_swapped_files_are_refused(small_mnist):
+    folder, _ = small_mnist
+    shutil.copy(folder / f"{LABELS}.gz", folder / f"{IMAGES}.gz")
+    with pytest.raises(ValueError, match=IMAGES):
+        load_sevens()
+
+
+@pytest.mark.parametrize("call", [resolve_source, load_sevens])
+def test_missing_file_is_an_error_and_no_fallback(small_mnist, call):
+    folder, _ = small_mnist
+    (folder / f"{LABELS}.gz").unlink()
+    with pytest.raises(FileNotFoundError, match=f"INFLATE_MNIST_DIR.*{LABELS}"):
+        call("auto")
+
+
+def test_relative_folder_is_found_from_the_checkout_as_well(small_mnist, monkeypatch):
+    folder, expected = small_mnist
+    monkeypatch.setattr(paths, "ROOT", folder.parent)
+    monkeypatch.setenv("INFLATE_MNIST_DIR", folder.name)
+    assert np.array_equal(load_sevens("mnist").images, expected)
+
+
+def test_missing_folder_is_named(monkeypatch):
+    monkeypatch.setenv("INFLATE_MNIST_DIR", "/nowhere/mnist")
+    with pytest.raises(FileNotFoundError, match="/nowhere/mnist"):
+        load_sevens("mnist")
+
+
+def serve(monkeypatch, answer):
+    """Replace the network: ``answer(url)`` gives bytes or raises. Returns the list of addresses asked for."""
+    asked = []
+
+    class Downloader:
+        def __init__(self, **options):
+            assert max(options["timeout"]) <= 10
+
+        def __call__(self, url, output_file, pooch_instance):
+            asked.append(url)
+            Path(output_file).write_bytes(answer(url))
+
+    monkeypatch.setattr("pooch.HTTPDownloader", Downloader)
+    return asked
+
+
+def test_no_network_means_digits_aloud_and_is_remembered(no_folder, monkeypatch, capsys):
+    def fail(url):
+        raise ConnectionError("no network")
+
+    asked = serve(monkeypatch, fail)
+    sevens = load_sevens("auto")
+    assert (sevens.source, len(sevens)) == ("digits", 179)
+    assert "embedded scikit-learn digits instead of MNIST" in capsys.readouterr().out
+    assert len(asked) == 2  # each mirror once
+    assert resolve_source() == "digits"
+    with pytest.raises(ConnectionError, match="INFLATE_MNIST_DIR"):
+        load_sevens("mnist")
+    assert len(asked) == 2
+
+
+def test_second_mirror_serves_when_the_first_one_lies(small_mnist, no_folder, monkeypatch):
+    folder, expected = small_mnist
+
+    def answer(url):
+        if url.startswith(sources.MIRRORS[0]):
+            return gzip.compress(b"something else") if "images" in url else b"<html>log in first</html>"
+        return (folder / Path(url).name).read_bytes()
+
+    asked = serve(monkeypatch, answer)
+    assert np.array_equal(load_sevens("mnist").images, expected)
+    assert len(asked) == 4
+    assert np.array_equal(load_sevens("auto").images, expected)
+    assert len(asked) == 4  # now from the cache
+    assert sorted(path.name for path in (paths.CACHE / "mnist").iterdir()) == sorted(FILES["train"])
+
+
+def test_damaged_cache_is_downloaded_again(small_mnist, no_folder, monkeypatch):
+    folder, expected = small_mnist
+    asked = serve(monkeypatch, lambda url: (folder / Path(url).name).read_bytes())
+    load_sevens("mnist")
+    (paths.CACHE / "mnist" / IMAGES).write_bytes(b"damaged")
+    assert np.array_equal(load_sevens("mnist").images, expected)
+    assert len(asked) == 3
+
+
+def test_embedded_digits_look_like_mnist():
+    sevens = load_sevens("digits")
+    assert sevens.images.shape == (179, 28, 28) and sevens.images.dtype == np.uint8
+    assert sevens.description == "scikit-learn digits"
+    digits = load_digits()
+    for image, small in zip(sevens.images, digits.images[digits.target == 7], strict=True):
+        rows, columns = np.nonzero(image)
+        assert max(np.ptp(rows), np.ptp(columns)) + 1 <= 20
+        centre = np.array([np.sum(axis * image) for axis in np.indices((28, 28))]) / image.sum()
+        assert np.all(np.abs(centre - 13.5) <= 0.51)
+        height, width = (np.ptp(np.nonzero(small.any(axis=axis))[0]) + 1 for axis in (1, 0))
+        assert width / height == pytest.approx((np.ptp(columns) + 1) / (np.ptp(rows) + 1), abs=0.16)
+
+
+def test_asking_for_more_than_there_are_gives_all_and_says_so(capsys):
+    assert len(load_sevens("digits", limit=1000)) == 179
+    assert "1000 sevens were asked for" in capsys.readouterr().out
+    assert len(load_sevens("digits", limit=179)) == 179
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"limit": 0}, {"limit": -3}, {"limit": 2.5}, {"source": "emnist"}, {"split": "all"}]
+)
+def test_arguments_out_of_range_are_refused(arguments):
+    with pytest.raises(ValueError, match=next(iter(arguments))):
+        load_sevens(**{"source": "digits", **arguments})
+
+
+@pytest.mark.mnist
+def test_mnist_has_6265_training_sevens():
+    if resolve_source() != "mnist":
+        pytest.skip("MNIST cannot be had: its files are not checked")
+    sevens = load_sevens("mnist")
+    assert sevens.images.shape == (6265, 28, 28) and sevens.images.dtype == np.uint8

@@ -1,0 +1,159 @@
+"""Things said in two places agree: dependencies, commands, the contents of the book."""
+
+import re
+import subprocess
+import tomllib
+
+import pytest
+import yaml
+
+from inflate_lib import paths
+from inflate_lib.book.run import find_notebooks
+
+CONDA_NAMES = {"pytorch-cpu": "torch", "matplotlib-base": "matplotlib", "seaborn-base": "seaborn"}
+
+
+def normal(name):
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def read(name):
+    return (paths.ROOT / name).read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def project():
+    return tomllib.loads(read("pyproject.toml"))["project"]
+
+
+@pytest.fixture(scope="module")
+def wanted(project):
+    """Requirement by name, of the library and both extras."""
+    groups = [project["dependencies"], *project["optional-dependencies"].values()]
+    return {normal(re.split(r"[<>=!~\[]", line)[0]): line for lines in groups for line in lines}
+
+
+@pytest.fixture(scope="module")
+def pins():
+    lines = [line for line in read("constraints.txt").splitlines() if line and not line.startswith("#")]
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+", line) for line in lines), "only name==version"
+    pairs = [line.split("==") for line in lines]
+    assert len({normal(name) for name, _ in pairs}) == len(pairs)
+    return {normal(name): version for name, version in pairs}
+
+
+def test_every_dependency_is_pinned_within_its_range(wanted, pins):
+    from packaging.requirements import Requirement
+
+    for name, line in wanted.items():
+        assert name in pins, f"constraints.txt lacks {name}"
+        assert pins[name] in Requirement(line).specifier, f"{name} {pins[name]} is outside {line}"
+
+
+def test_no_pin_ties_to_one_machine(pins):
+    assert not [name for name in pins if re.match(r"nvidia|triton|cuda|inflate", name)]
+    assert pins["torch"] == "2.13.0"
+
+
+def test_the_installed_packages_are_the_pinned_ones(wanted, pins):
+    """In the environment of make; elsewhere (conda) versions may differ, and this says nothing."""
+    from importlib.metadata import distributions
+
+    if not (paths.ROOT / ".venv" / "installed-test").exists():
+        pytest.skip("not in the environment that make creates")
+    installed = {normal(d.metadata["Name"]): d.version.split("+")[0] for d in distributions()}
+    assert {name: installed[name] for name in wanted if name in installed} == {
+        name: pins[name] for name in wanted if name in installed
+    }
+
+
+def test_conda_environment_is_in_step(wanted, pins):
+    *listed, from_pip = yaml.safe_load(read("environment.yml"))["dependencies"]
+    conda = dict(entry.split("=") for entry in listed if "=" in entry)
+    assert conda.pop("python") in {"3.11", "3.12"}
+    here = {normal(CONDA_NAMES.get(name, name)): version for name, version in conda.items()}
+    with_pip = dict(entry.split("==") for entry in from_pip["pip"] if "==" in entry)
+    assert set(here) | set(with_pip) == set(wanted)
+    assert here == {name: ".".join(pins[name].split(".")[:2]) for name in here}
+    assert with_pip == {name: pins[name] for name in with_pip}
+    assert "--editable ." in from_pip["pip"]
+
+
+def test_python_versions_agree_everywhere(project):
+    assert project["requires-python"] == ">=3.11,<3.13"
+    assert "(3, 11), (3, 12)" in read("Makefile")
+    workflow = yaml.safe_load(read(".github/workflows/book.yml"))
+    assert workflow["jobs"]["tests"]["strategy"]["matrix"]["python"] == ["3.11", "3.12"]
+
+
+def test_the_readme_names_only_commands_that_exist():
+    targets = set(re.findall(r"^([a-z]+):", read("Makefile"), flags=re.M))
+    for text in (read("README.md"), read("book/index.md"), read(".ci/run")):
+        used = set(re.findall(r"(?:^|`|\$ |step )make ([a-z]+)", text, flags=re.M))
+        assert {"book", "test"} <= used
+        assert used <= targets, f"the Makefile lacks {used - targets}"
+
+
+def test_the_readme_names_only_subcommands_that_exist():
+    from typer.main import get_command
+
+    from inflate_lib.cli.app import load_commands
+
+    used = set(re.findall(r"\binflate ([a-z]+)(?= --|  )", read("README.md")))
+    assert {"reproduce", "book"} <= used <= set(get_command(load_commands()).commands)
+
+
+def test_ci_runs_what_the_readme_says():
+    script = read(".ci/run")
+    assert script.index("make test") < script.index("make book PROFILE=ci") < script.index("-m book")
+    assert "run: .ci/run" in read(".github/workflows/book.yml")
+    assert (paths.ROOT / ".ci" / "run").stat().st_mode & 0o111
+
+
+def test_the_table_of_contents_lists_every_notebook_once():
+    contents = yaml.safe_load(read("book/_toc.yml"))
+    files = [chapter["file"] for part in contents["parts"] for chapter in part["chapters"]]
+    listed = [file.removeprefix("notebooks/") for file in files if file.startswith("notebooks/")]
+    assert sorted(listed) == [path.stem for path in find_notebooks()]
+    for name in listed:
+        assert f"notebooks/{name}" in read("book/index.md")
+
+
+@pytest.mark.parametrize("path", sorted(paths.NOTEBOOKS.glob("[0-9][0-9]_*.md")), ids=lambda path: path.stem)
+def test_notebook_headers_carry_no_versions(path):
+    header = yaml.safe_load(path.read_text(encoding="utf-8").split("---")[1])
+    assert header["jupytext"] == {"text_representation": {"extension": ".md", "format_name": "myst"}}
+    assert header["kernelspec"] == {"display_name": "Python 3", "language": "python", "name": "python3"}
+
+
+def test_no_tracked_text_knows_a_machine():
+    listing = ["git", "-C", paths.ROOT, "ls-files", "--cached", "--others", "--exclude-standard"]
+    done = subprocess.run(listing, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip("not a git checkout")
+    machine = re.compile(r"(?<![\w.:])/(root|home|Users|work|scratch|mnt)/\w")
+    found = []
+    for name in done.stdout.splitlines():
+        path = paths.ROOT / name
+        if path.suffix in {".png", ".svg", ".safetensors", ".npz", ".nc"} or not path.is_file():
+            continue
+        hits = machine.findall(path.read_text(encoding="utf-8"))
+        found += [f"{name}: {hit}" for hit in hits]
+    assert not found
+
+
+def test_reference_numbers_name_their_place():
+    numbers = yaml.safe_load(read("data/reference/paper.yml"))
+    assert all(set(entry) >= {"value", "where"} for entry in numbers.values())
+    assert all(re.search(r"Sec\. |Fig\. |Figs\. |Table ", entry["where"]) for entry in numbers.values())
+    assert numbers["simulations"]["value"] == 6265
+    assert numbers["augmented_samples"]["value"] == 71616
+    assert numbers["shear_modulus"]["value"] * 100 == pytest.approx(numbers["lame_lambda"]["value"])
+
+
+def test_every_reference_in_the_bibliography_is_whole():
+    entries = re.findall(r"@\w+\{(\w+),(.*?)\n\}", read("book/references.bib"), flags=re.S)
+    assert len(entries) >= 15
+    for key, body in entries:
+        fields = set(re.findall(r"^\s*(\w+)\s*=", body, flags=re.M))
+        assert {"author", "title", "year"} <= fields, key
