@@ -119,7 +119,7 @@ def test_an_interval_and_an_exponent_stay_on_one_line(home):
 
 
 def test_runner_is_told_what_was_published(tmp_path, monkeypatch):
-    monkeypatch.setenv(page.RUNNER, str(tmp_path / "manifest"))
+    monkeypatch.setenv(publishing.RUNNER, str(tmp_path / "manifest"))
     page().figure(picture(), "fig01")
     assert (tmp_path / "manifest").read_text().split() == ["ci/fig01.png", "ci/fig01.svg", "ci/fig01.json"]
 
@@ -139,4 +139,4 @@ def test_mistakes_are_named(home):
     with pytest.raises(ValueError, match="run the parameters cell first: steps"):
         Page("05_example", {"profile": "ci", "source": "digits", "seed": 0})
     with pytest.raises(ValueError, match="not an executed notebook"):
-        page.recorded(home / "absent.ipynb")
+        publishing.recorded(home / "absent.ipynb")

@@ -16,6 +16,7 @@ from rich.console import Console
 
 from inflate_lib import paths
 from inflate_lib._cache import CacheError
+from inflate_lib.book import build
 from inflate_lib.book import run as reproduce
 from inflate_lib.book._execution import NotebookFailed
 from inflate_lib.book.build import build_book, check_book
@@ -23,6 +24,7 @@ from inflate_lib.book.page import recorded
 from inflate_lib.book.profiles import ProfileError
 from inflate_lib.book.run import RunError, plan
 from inflate_lib.cli import app
+from inflate_lib.cli.book import book
 
 HEADER = """\
 ---
@@ -223,10 +225,10 @@ def test_a_notebook_that_warned_is_named_with_its_warning(done, monkeypatch):
     cell = [cell for cell in notebook.cells if cell.cell_type == "code"][-1]
     cell.outputs.append(nbformat.v4.new_output("stream", name="stderr", text="UserWarning: too much\n"))
     nbformat.write(notebook, executed)
-    notebook.metadata["inflate"]["cells"] = run._content(json.loads(executed.read_text()))
+    notebook.metadata["inflate"]["cells"] = reproduce._content(json.loads(executed.read_text()))
     nbformat.write(notebook, executed)
     said = io.StringIO()
-    monkeypatch.setattr(reproduce, "run_jupyter_book", lambda builder: done / "book")
+    monkeypatch.setattr(build, "run_jupyter_book", lambda builder: done / "book")
     (done / "book" / "_build").mkdir(exist_ok=True)
     build_book("ci", Console(file=said))
     assert re.search(r"left out of the book:\s+02_second, code cell \d: UserWarning: too much", said.getvalue())
@@ -288,7 +290,7 @@ def test_missing_data_are_found_before_anything_runs(home, monkeypatch):
     monkeypatch.setenv("INFLATE_MNIST_DIR", str(home / "nowhere"))
     monkeypatch.setattr(reproduce, "_run", lambda *_: pytest.fail("it ran"))
     monkeypatch.setattr(sys, "argv", ["inflate", "reproduce"])
-    run._resolved.cache_clear()
+    reproduce._resolved.cache_clear()
     with pytest.raises(SystemExit, match=r"nowhere.*train-images-idx3-ubyte"):
         app.run()
     assert "01_first.ipynb" not in os.listdir(home / "book" / "notebooks")
@@ -322,7 +324,7 @@ def test_a_notebook_without_mnist_says_so_and_warns_of_nothing(home, monkeypatch
     """Anything on standard error would be a warning of the book, and the end of it."""
     monkeypatch.delenv("INFLATE_MNIST_DIR", raising=False)
     unreachable = "sources.MIRRORS = ('http://127.0.0.1:9/',)"
-    add(home, "01_first", f"from inflate_lib import sources\n{unreachable}\nsources.resolve_source()")
+    add(home, "01_first", f"from inflate_lib.structures import sources\n{unreachable}\nsources.resolve_source()")
     run()
     executed = nbformat.read(home / "book" / "notebooks" / "01_first.ipynb", 4)
     streams = {output.name: output.text for output in executed.cells[-1].outputs if output.output_type == "stream"}
@@ -333,16 +335,16 @@ def test_a_notebook_without_mnist_says_so_and_warns_of_nothing(home, monkeypatch
 def test_retraining_reaches_the_notebooks_and_makes_them_run_again(done, monkeypatch):
     add(done, "02_second", "import os\nfrom inflate_lib.book.page import Page\npage = Page('02_second', globals())\n"
         "page.record('retrain', 'INFLATE_RETRAIN' in os.environ)")  # fmt: skip
-    monkeypatch.setattr(reproduce, "build_book", lambda profile: None)
+    monkeypatch.setattr(build, "build_book", lambda profile: None)
     monkeypatch.setenv("INFLATE_RETRAIN", "")  # so that whatever happens to it is undone
     monkeypatch.delenv("INFLATE_RETRAIN")
     for retrain in (False, True):
-        app.book(retrain=retrain)
+        book(retrain=retrain)
         assert recorded(done / "book" / "notebooks" / "02_second.ipynb")["retrain"] == retrain
 
 
 def test_two_runs_do_not_share_a_checkout(home):
-    with run._only_run(), pytest.raises(RunError, match=r"another .* is at work"):
+    with reproduce._only_run(), pytest.raises(RunError, match=r"another .* is at work"):
         run()
 
 
@@ -354,7 +356,7 @@ def test_a_figure_that_a_notebook_no_longer_makes_goes_away(home):
     (folder / "kept.json").write_text('{"notebook": "02_second", "files": {}}')
     (home / "manifest").write_text("ci/fig_01_first.png\n")
     notebook = nbformat.v4.new_notebook()
-    run._stamp(plan("ci")[0], notebook, home / "manifest")
+    reproduce._stamp(plan("ci")[0], notebook, home / "manifest")
     assert [path.name for path in folder.iterdir()] == ["kept.json"]
     assert notebook.metadata.inflate["published"] == ["ci/fig_01_first.png"]
 
