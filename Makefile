@@ -8,7 +8,7 @@ PIP     := $(BIN)/python -m pip --disable-pip-version-check
 NEEDS   := pyproject.toml constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help install book pdf reproduce test lab lint clean
+.PHONY: help install book pdf reproduce figures test lab lint clean
 
 help: ## show the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -23,6 +23,9 @@ pdf: book ## the same as one PDF file, printed by Chromium: book/_build/pdf/book
 reproduce: .venv/installed ## execute what is not fresh under PROFILE, without the book
 	$(BIN)/inflate reproduce --profile $(PROFILE) --jobs $(JOBS)
 
+figures: .venv/installed ## execute the profile laptop and publish its figures in figures/laptop, which git keeps
+	$(BIN)/inflate reproduce --profile laptop --jobs $(JOBS) --publish
+
 test: .venv/installed-test ## run the tests
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
@@ -34,8 +37,8 @@ lab: .venv/installed-lab ## open JupyterLab on the notebooks
 
 install: .venv/installed ## create .venv with the pinned packages
 
-clean: ## remove the book and the executed notebooks (the cache in data/cache stays)
-	rm -rf book/_build book/notebooks
+clean: ## remove the book, the executed notebooks and their figures (the cache in data/cache stays)
+	rm -rf book/_build book/notebooks figures/runs
 
 .venv/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' || { \

@@ -1,7 +1,7 @@
 """What a notebook publishes: figures, tables and numbers, each with where it came from.
 
 A notebook makes one :class:`Page` right after its parameters cell and hands it everything that the book shows. Files go
-to ``figures/<profile>/``; recorded numbers stay in the executed notebook, where the book (``{glue:text}``) and the
+to ``figures/runs/<profile>/``; recorded numbers stay in the executed notebook, where the book (``{glue:text}``) and the
 tests (:func:`recorded`) read them.
 """
 
@@ -52,7 +52,7 @@ class Page:
     parameters : dict
         Every declared parameter with its value in this run.
     folder : Path
-        ``figures/<profile>/``.
+        ``figures/runs/<profile>/``.
     """
 
     def __init__(self, notebook: str, namespace: Mapping[str, Any]):
@@ -128,12 +128,11 @@ class Page:
             _replace(self.folder / f"{name}{suffix}", content)
         note = {"name": name, "files": {f"{name}{suffix}": digest(content) for suffix, content in files.items()}}
         note |= self.provenance()
-        path = self.folder / f"{name}.json"
-        if not _says_the_same(path, note):
-            _replace(path, (json.dumps(note, indent=2, ensure_ascii=False) + "\n").encode())
+        record = f"{name}.json"
+        _replace(self.folder / record, (json.dumps(note, indent=2, ensure_ascii=False) + "\n").encode())
         if manifest := os.environ.get(RUNNER):
             with open(manifest, "a", encoding="utf-8") as stream:
-                stream.writelines(f"{self.profile}/{file}\n" for file in [*note["files"], path.name])
+                stream.writelines(f"{self.profile}/{file}\n" for file in [*note["files"], record])
 
 
 @dataclass
@@ -200,17 +199,6 @@ def _resolve(source: str) -> str:
     from inflate_lib.structures.sources import resolve_source  # here, so that a page without data needs no data module
 
     return resolve_source(source)
-
-
-def _says_the_same(path: Path, note: Mapping[str, Any]) -> bool:
-    """Whether the file on disk differs only in the commit: then it keeps the one that first gave this content."""
-    try:
-        before = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    if before.get("uncommitted_changes") is not False:
-        return before == note
-    return {**before, "commit": 0, "uncommitted_changes": 0} == {**note, "commit": 0, "uncommitted_changes": 0}
 
 
 def _replace(path: Path, content: bytes) -> None:

@@ -73,7 +73,7 @@ class Job:
         if edited:
             return "edited after it was executed"
         gone = [file for file in stamp["published"] if not (paths.FIGURES / file).is_file()]
-        return f"missing: figures/{gone[0]}" if gone else ""
+        return f"missing: {(paths.FIGURES / gone[0]).relative_to(paths.ROOT)}" if gone else ""
 
 
 def plan(profile_name: str, only: Sequence[str] = ()) -> list[Job]:
@@ -147,7 +147,8 @@ def _shared_fingerprint() -> dict[str, Any]:
     """What every notebook may depend on: the library (not this runner), the reference numbers, weights, versions."""
     library = Path(__file__).parent.parent
     runner = {
-        library / "book" / f"{name}.py" for name in ("run", "build", "pdf", "sphinx_ext", "_execution", "_display")
+        library / "book" / f"{name}.py"
+        for name in ("run", "build", "edition", "pdf", "sphinx_ext", "_execution", "_display")
     }
     modules = sorted(p for p in library.rglob("*.py") if p not in runner and p.parent != library / "cli")
     data = sorted(p for folder in (paths.REFERENCE, paths.PRETRAINED) for p in folder.rglob("*") if p.is_file())

@@ -7,6 +7,7 @@ and the model cards of the committed weights.
 """
 
 import json
+import os
 import pydoc
 import re
 from datetime import date
@@ -118,7 +119,7 @@ def _configure(app, config):
     stamps = [stamp for path in sorted(paths.EXECUTED.glob("*.ipynb")) if (stamp := executed_under(path))]
     profile = stamps[0]["profile"] if stamps else "none"
     config.html_theme_options = {**config.html_theme_options, "extra_footer": footer(profile)}
-    picture = Path("..", paths.FIGURES.name, profile, f"{HERO}.png")
+    picture = Path(os.path.relpath(paths.FIGURES / profile / f"{HERO}.png", paths.BOOK))
     caption = f"{HERO_CAPTION} Drawn from results of this book's run (profile {profile})."
     hero = f"```{{figure}} {picture.as_posix()}\n:alt: {HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
     config.myst_substitutions = {**config.myst_substitutions, "hero": hero if (paths.BOOK / picture).is_file() else ""}

@@ -15,12 +15,20 @@ def reproduce(
     jobs: Jobs = 2,
     force: Force = False,
     retrain: Retrain = False,
+    publish: Annotated[
+        bool, typer.Option("--publish", help="Then replace figures/laptop, the edition that git keeps.")
+    ] = False,
 ) -> None:
-    """Execute the notebooks under a profile and regenerate their figures and tables."""
+    """Execute the notebooks under a profile; their figures and tables go to figures/runs/<profile>."""
+    from inflate_lib.book.edition import PROFILE, publish_edition
     from inflate_lib.book.run import reproduce
 
+    if publish and (profile != PROFILE or only):
+        raise ValueError(f"--publish is for a run of all notebooks under the profile {PROFILE}")
     set_retrain(retrain)
     reproduce(profile, only or (), jobs, force)
+    if publish:
+        publish_edition()
 
 
 def set_retrain(retrain: bool) -> None:

@@ -86,18 +86,6 @@ def test_the_same_figure_gives_the_same_bytes(home):
     assert [path.read_bytes() for path in sorted((home / "figures" / "ci").iterdir())] != first
 
 
-def test_a_new_commit_alone_rewrites_nothing(home, monkeypatch):
-    def commit(name, dirty=False):
-        monkeypatch.setattr(publishing, "code_state", lambda: {"commit": name, "uncommitted_changes": dirty})
-        page().figure(picture(), "fig01")
-        return json.loads((home / "figures" / "ci" / "fig01.json").read_text())["commit"]
-
-    assert commit("first") == "first"
-    assert commit("second") == "first"
-    page(steps=20).figure(picture(), "fig01")  # content changed: now the second is the one that made it
-    assert json.loads((home / "figures" / "ci" / "fig01.json").read_text())["commit"] == "second"
-
-
 def test_table_keeps_full_numbers_in_the_file_and_few_digits_on_the_page(home):
     frame = pd.DataFrame({"name": ["a_b", "c"], "value": [1 / 3, np.nan]})
     shown = page().table(frame, "table1", digits=2)._repr_mimebundle_()

@@ -1,4 +1,4 @@
-"""What is committed in figures/: the accuracy of the committed weights, and where every file comes from."""
+"""What is committed in figures/laptop: the accuracy of the committed weights, and where every file comes from."""
 
 import json
 
@@ -7,13 +7,14 @@ import pytest
 
 from inflate_lib import paths
 from inflate_lib._cache import digest
+from inflate_lib.book.edition import PROFILE
 
 SCALARS = ("height", "width", "box", "area")
 
 
 def measured(measure, name):
     """A value without its interval, of the 200 held-out targets."""
-    table = pd.read_csv(paths.FIGURES / "laptop" / "held_out_scalars.csv").set_index("measure")
+    table = pd.read_csv(paths.EDITION / "held_out_scalars.csv").set_index("measure")
     return float(table.loc[measure, name].split()[0].replace("−", "-"))
 
 
@@ -26,18 +27,18 @@ def test_unseen_targets_are_met(name):
 
 @pytest.mark.parametrize("name", SCALARS)
 def test_the_best_of_sixteen_is_close(name):
-    best = pd.read_csv(paths.FIGURES / "laptop" / "best_of_n.csv")
+    best = pd.read_csv(paths.EDITION / "best_of_n.csv")
     best = best[(best["descriptor"] == name) & (best["by"] == "simulation") & (best["n"] == 16)]
     assert len(best) == 1 and best["median"].item() <= 0.5
 
 
-@pytest.mark.parametrize("profile", ["ci", "laptop"])
-def test_every_file_is_named_by_a_record_of_where_it_comes_from(profile):
-    folder, named = paths.FIGURES / profile, {}
-    for note in map(json.loads, (path.read_text(encoding="utf-8") for path in folder.glob("*.json"))):
-        assert (note["profile"], note["data_source"] or "mnist") == (profile, "mnist"), note["name"]
+def test_every_file_is_named_by_a_record_of_where_it_comes_from():
+    named = {}
+    for note in map(json.loads, (path.read_text(encoding="utf-8") for path in paths.EDITION.glob("*.json"))):
+        assert (note["profile"], note["data_source"] or "mnist") == (PROFILE, "mnist"), note["name"]
         assert note["uncommitted_changes"] is False, note["name"]
         named |= note["files"]
-    files = {path.name for path in folder.iterdir() if path.suffix != ".json"}
+    files = {path.name for path in paths.EDITION.iterdir() if path.suffix != ".json"}
     assert files == set(named)
-    assert not [name for name in files if digest((folder / name).read_bytes()) != named[name]]
+    assert {path.rpartition(".")[2] for path in files} == {"png", "csv"}
+    assert not [name for name in files if digest((paths.EDITION / name).read_bytes()) != named[name]]
