@@ -1,8 +1,9 @@
 """Where the images of the digit seven come from: MNIST, or the small embedded set of scikit-learn.
 
-MNIST is looked for in the folder that ``INFLATE_MNIST_DIR`` names; without one it is downloaded once from a public
-mirror into the cache. Either way the SHA-256 of the decompressed bytes must be the published one, or the file is not
-used. Where MNIST cannot be had, ``source="auto"`` falls back to the 179 sevens that ship with scikit-learn, aloud.
+MNIST is looked for in the folder that ``INFLATE_MNIST_DIR`` names, and what is read there is kept in the cache; without
+such a folder it is looked for in the cache, and downloaded into it once from a public mirror. Every time the SHA-256 of
+the decompressed bytes must be the published one, or the file is not used. Where MNIST cannot be had, ``source="auto"``
+falls back to the 179 sevens that ship with scikit-learn, aloud.
 """
 
 import gzip
@@ -10,6 +11,7 @@ import hashlib
 import os
 import warnings
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,8 +106,8 @@ def load_sevens(source="auto", limit=None, split="train"):
 
 def _mnist_sevens(split):
     images_name, labels_name = FILES[split]
-    labels = np.frombuffer(_read(_locate(labels_name), labels_name), np.uint8, offset=8)
-    pixels = np.frombuffer(_read(_locate(images_name), images_name), np.uint8, offset=16)
+    labels = np.frombuffer(_read(labels_name), np.uint8, offset=8)
+    pixels = np.frombuffer(_read(images_name), np.uint8, offset=16)
     return pixels.reshape(-1, 28, 28)[labels == 7]
 
 
@@ -126,8 +128,9 @@ def _locate(name):
     )
 
 
-def _read(path, name):
-    """The decompressed bytes of an MNIST file, or a ValueError that names it."""
+def _read(name):
+    """The decompressed bytes of an MNIST file, kept in the cache from now on; or a ValueError that names the file."""
+    path = _locate(name)
     try:
         content = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
@@ -138,7 +141,20 @@ def _read(path, name):
             f"{path} is not MNIST's {name}, or it is damaged: the SHA-256 of its {len(content)} decompressed bytes is "
             f"{found}, not {SHA256[name]}. Replace it."
         )
+    _remember(name, content)
     return content
+
+
+def _remember(name, content):
+    """Keep verified bytes in the cache; one that cannot be written is no reason to do without the data."""
+    path = paths.CACHE / "mnist" / name
+    with suppress(OSError):
+        if path.is_file() and path.read_bytes() == content:
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft = path.with_name(f".{name}.{os.getpid()}")
+        draft.write_bytes(content)
+        os.replace(draft, path)
 
 
 def _download(name):

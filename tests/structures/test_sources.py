@@ -16,6 +16,13 @@ from inflate_lib.structures.sources import FILES, load_sevens, resolve_source
 IMAGES, LABELS = FILES["train"]
 
 
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    """An empty cache: what is read is kept there."""
+    monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
+    return tmp_path / "cache" / "mnist"
+
+
 @pytest.fixture
 def small_mnist(tmp_path, monkeypatch):
     """A folder of ten-image IDX files that stand in for MNIST, with their checksums in place of the real ones."""
@@ -33,10 +40,9 @@ def small_mnist(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def no_folder(tmp_path, monkeypatch):
-    """No folder named, an empty cache, and a network of which nothing is known yet."""
+def no_folder(monkeypatch):
+    """No folder named, and a network of which nothing is known yet."""
     monkeypatch.delenv("INFLATE_MNIST_DIR", raising=False)
-    monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
     monkeypatch.setattr(sources, "_network_failure", None)
 
 
@@ -54,6 +60,41 @@ def test_unzipped_files_do_as_well(small_mnist):
     for zipped in folder.glob("*.gz"):
         zipped.with_suffix("").write_bytes(gzip.decompress(zipped.read_bytes()))
         zipped.unlink()
+    assert np.array_equal(load_sevens().images, expected)
+
+
+def test_a_folder_is_named_once_and_remembered(small_mnist, monkeypatch):
+    folder, expected = small_mnist
+    load_sevens("mnist")
+    monkeypatch.delenv("INFLATE_MNIST_DIR")
+    for file in folder.glob("*.gz"):
+        file.unlink()
+    asked = serve(monkeypatch, lambda url: pytest.fail("the network was asked"))
+    assert resolve_source("auto") == "mnist"
+    assert np.array_equal(load_sevens("auto").images, expected)
+    assert not asked
+
+
+def test_what_was_remembered_and_damaged_is_replaced(small_mnist, cache):
+    _, expected = small_mnist
+    load_sevens()
+    flip_a_bit(cache / IMAGES)
+    load_sevens()
+    assert np.array_equal(np.frombuffer((cache / IMAGES).read_bytes()[16:], np.uint8)[:784], expected[0].ravel())
+    assert sorted(path.name for path in cache.iterdir()) == sorted(FILES["train"])
+
+
+def test_nothing_damaged_is_remembered(small_mnist, cache):
+    folder, _ = small_mnist
+    change_a_pixel(folder / f"{IMAGES}.gz")
+    with pytest.raises(ValueError, match="is not MNIST's"):
+        load_sevens()
+    assert not (cache / IMAGES).exists()
+
+
+def test_a_cache_that_cannot_be_written_is_no_obstacle(small_mnist, cache):
+    _, expected = small_mnist
+    cache.parent.write_text("a file where the folder should be")
     assert np.array_equal(load_sevens().images, expected)
 
 
