@@ -25,9 +25,9 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from inflate_lib import paths
+from inflate_lib._files import FULL, draft
 
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_NO_ROOM |= {errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
+_NO_ROOM = FULL | {errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
 MARK = "\x01"  # begins a line that the runner shows while a notebook runs, and does not keep in it
 RUNNER = "INFLATE_MANIFEST"  # set by the runner, to the file in which it wants to be told what was published
 RETRAIN = "INFLATE_RETRAIN"  # set by --retrain: models are trained, though data/pretrained has weights that fit
@@ -129,19 +129,16 @@ def code_version(*modules: ModuleType | str | Path) -> str:
 def _make(result: Path, key_text: str, make: Callable[[Path, Path], None], scratch: Path) -> None:
     """Write `result` and its sidecar; the caller holds the lock."""
     scratch.mkdir(exist_ok=True)
-    partial = result.with_name(f".partial-{result.name}")  # one name is enough: the lock admits one maker
-    partial.unlink(missing_ok=True)
-    with redirect_stdout(_Aside(sys.stdout)):
-        make(partial, scratch)
-    if not partial.is_file():
-        raise CacheError(f"the step that makes {result} wrote no file")
-    sidecar = {"key": json.loads(key_text), "bytes": partial.stat().st_size, "digest": digest(partial)}
     note = _sidecar(result)
-    note.unlink(missing_ok=True)  # from here to the last line the result does not count
-    os.replace(partial, result)
-    draft = note.with_name(f".partial-{note.name}")
-    draft.write_text(json.dumps(sidecar, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-    os.replace(draft, note)
+    with draft(result) as target:
+        with redirect_stdout(_Aside(sys.stdout)):
+            make(target, scratch)
+        if not target.is_file():
+            raise CacheError(f"the step that makes {result} wrote no file")
+        sidecar = {"key": json.loads(key_text), "bytes": target.stat().st_size, "digest": digest(target)}
+        note.unlink(missing_ok=True)  # from here to the last line the result does not count
+    with draft(note) as target:
+        target.write_text(json.dumps(sidecar, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     shutil.rmtree(scratch, ignore_errors=True)
 
 

@@ -168,7 +168,7 @@ def test_a_killed_process_is_resumed_by_the_next(tmp_path, cache):
     log = tmp_path / "log"
     first = start(log, "hang", cache)
     deadline = time.monotonic() + 60
-    while not list(cache.glob("kind/.partial-*")) and time.monotonic() < deadline:
+    while not list(cache.glob("kind/.*.partial")) and time.monotonic() < deadline:
         time.sleep(0.05)
     first.send_signal(signal.SIGKILL)
     first.communicate()

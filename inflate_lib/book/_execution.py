@@ -24,6 +24,7 @@ with warnings.catch_warnings():  # papermill's optional cloud parts warn on impo
 
 from inflate_lib import paths
 from inflate_lib._cache import MARK, RUNNER, writing
+from inflate_lib._files import draft
 from inflate_lib.book.profiles import declared_parameters
 
 logging.getLogger("papermill").setLevel(logging.CRITICAL)  # what it would say, NotebookFailed says
@@ -150,10 +151,8 @@ def execute(
     defaults = declared_parameters(source)
     _tidy(executed, as_shown=all(defaults[k] == v for k, v in parameters.items() if k != "profile"))
     finish(executed, manifest)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    draft = output.with_name(f".{output.name}.partial")
-    nbformat.write(executed, draft)
-    os.replace(draft, output)
+    with draft(output) as place:
+        nbformat.write(executed, place)
     for leftover in (given, running, manifest):
         leftover.unlink(missing_ok=True)
 

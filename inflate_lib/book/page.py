@@ -26,6 +26,7 @@ from matplotlib.figure import Figure
 
 from inflate_lib import paths
 from inflate_lib._cache import RUNNER, digest
+from inflate_lib._files import draft
 from inflate_lib._provenance import code_state, package_versions
 from inflate_lib.book.profiles import declared_parameters
 
@@ -123,7 +124,6 @@ class Page:
         if self._kinds.setdefault(name, tuple(files)) != tuple(files):
             had, has = " and ".join(self._kinds[name]), " and ".join(files)
             raise ValueError(f"{name!r} names {had} already; {has} would share its record: choose another name")
-        self.folder.mkdir(parents=True, exist_ok=True)
         for suffix, content in files.items():
             _replace(self.folder / f"{name}{suffix}", content)
         note = {"name": name, "files": {f"{name}{suffix}": digest(content) for suffix, content in files.items()}}
@@ -202,7 +202,5 @@ def _resolve(source: str) -> str:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    """Write in one go, so that nobody meets half a file."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_bytes(content)
-    os.replace(draft, path)
+    with draft(path) as place:
+        place.write_bytes(content)

@@ -4,7 +4,6 @@ Nothing is dropped: an image that gives no structure, or a structure without an 
 ``converged = False`` and the reason.
 """
 
-import os
 import platform
 import zlib
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from joblib.parallel import get_active_backend
 import inflate_lib
 from inflate_lib import _progress, descriptors
 from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._files import draft
 from inflate_lib.datasets import _workers
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import AXIS_POINTS
@@ -265,9 +265,8 @@ def _stored(path):
 
 
 def _store(path, rows):
-    draft = path.with_name(f".{os.getpid()}-{path.name}")
-    np.savez(draft, **rows)
-    os.replace(draft, path)
+    with draft(path) as place:
+        np.savez(place, **rows)
 
 
 def _assemble(parts, n_steps):

@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-from inflate_lib.diffusion._storage import naming
+from inflate_lib._files import naming
 
 COLUMNS = ("step", "loss", "simple", "vlb", "seconds")
 

@@ -2,9 +2,7 @@
 
 import hashlib
 import json
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,8 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
+
+from inflate_lib._files import draft
 
 FORMAT = "inflate_lib.diffusion 1"
 
@@ -25,42 +25,16 @@ def _digest(tensors: Mapping[str, Tensor], content: str) -> str:
     return total.hexdigest()
 
 
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Give the name of the file to an error that leaves it out, as that of a full disk does."""
-    try:
-        yield
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
-
-
 def write(path: Path, kind: str, tensors: Mapping[str, Tensor], content: Mapping) -> None:
     """Write a file of this ``kind``; ``content`` is JSON in its header.
 
-    The file is written beside its place, flushed to disk, and then moved there in one operation, so that a run killed
-    at any moment leaves either the old file or the new one, whole.
+    A run killed at any moment leaves either the old file or the new one, whole.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps(content)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     header = {"format": FORMAT, "kind": kind, "content": text, "digest": _digest(tensors, text)}
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
-        with naming(path):
-            with open(partial, "wb") as file:
-                file.write(save(tensors, metadata=header))
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def sweep(path: Path) -> None:
-    """Remove what runs that were killed in the middle of ``write`` left beside ``path``."""
-    for partial in path.parent.glob(f"{path.name}.*.partial"):
-        partial.unlink(missing_ok=True)
+    with draft(path, durable=True) as place:
+        place.write_bytes(save(tensors, metadata=header))
 
 
 def read(path: Path, kind: str) -> tuple[dict[str, Tensor], dict]:

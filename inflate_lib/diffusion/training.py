@@ -186,10 +186,8 @@ class _Run:
         # Tells this run's checkpoint from that of another data set or configuration.
         data = _storage.fingerprint(images, conditions)
         self.identity = {"config": config.recipe(), "data": data}
-        if self.path is not None and _ranks.rank() == 0:
-            _storage.sweep(self.path)
-            if self.path.exists():
-                self.restore()
+        if self.path is not None and self.path.exists() and _ranks.rank() == 0:
+            self.restore()
         _ranks.copy(list(self.state().values()), self.device)
         self.step, self.history = _ranks.share((self.step, self.history))
 

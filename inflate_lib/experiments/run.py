@@ -4,7 +4,6 @@ An *experiment* is a simulated data set that also knows what each structure was 
 number of the target) and ``valid``. Structures from elsewhere, such as real ones, can be judged in the same form.
 """
 
-import os
 import warnings
 from collections.abc import Mapping
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from inflate_lib import _progress, descriptors
 from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._files import draft
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.split import held_out
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -245,9 +245,8 @@ def _draw(model, targets, seed, sampling, folder):
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")  # said once already
                 images = generate(model, targets[start : start + PIECE], seed=seed, start=start, **sampling)
-            draft = path.with_suffix(f".{os.getpid()}.npy")
-            np.save(draft, images)
-            os.replace(draft, path)
+            with draft(path) as place:
+                np.save(place, images)
         yield len(images), images
 
 

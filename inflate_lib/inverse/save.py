@@ -7,16 +7,14 @@ cut into both walls, since the simulated cavity is one and has one pressure.
 
 import errno
 import json
-import os
 import platform
-import shutil
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 import inflate_lib
+from inflate_lib._files import draft
 from inflate_lib._provenance import package_versions
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.vtk import write_vtk
@@ -65,17 +63,22 @@ def save_designs(designs, folder, size_mm=SIZE_MM, depth_mm=DEPTH_MM, overwrite=
     if not designs.designs:
         raise ValueError("there is no design to write: no candidate was a structure")
     folder = check_folder(folder, overwrite)
-    with _whole_or_nothing(folder) as draft:
-        names = [f"design_{number:02d}" for number in range(1, len(designs.designs) + 1)]
-        for name, one in zip(names, designs.designs, strict=True):
-            _write_design(one, draft / name, name, designs, size_mm, depth_mm)
-        fig = plot_designs(designs)
-        try:
-            fig.savefig(draft / "contact_sheet.png")
-        finally:
-            plt.close(fig)
-        designs.table().to_csv(draft / "designs.csv", index=False, float_format="%.8g")
-        _write_json(draft / "designs.json", search_record(designs))
+    names = [f"design_{number:02d}" for number in range(1, len(designs.designs) + 1)]
+    try:
+        with draft(folder) as place:
+            place.mkdir()
+            for name, one in zip(names, designs.designs, strict=True):
+                _write_design(one, place / name, name, designs, size_mm, depth_mm)
+            fig = plot_designs(designs)
+            try:
+                fig.savefig(place / "contact_sheet.png")
+            finally:
+                plt.close(fig)
+            designs.table().to_csv(place / "designs.csv", index=False, float_format="%.8g")
+            _write_json(place / "designs.json", search_record(designs))
+    except OSError as error:
+        reason = f"{error.strerror or error}; no designs were written: make room, or give another folder"
+        raise OSError(error.errno, reason, str(folder.absolute())) from error
     return [folder / name for name in ("contact_sheet.png", "designs.csv", *names)]
 
 
@@ -271,41 +274,6 @@ def _without_nan(value):
     if isinstance(value, list | tuple):
         return [_without_nan(entry) for entry in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-@contextmanager
-def _whole_or_nothing(folder):
-    """A draft folder that takes the place of `folder` at the end, and goes away where there is none."""
-    folder = folder.absolute()
-    draft = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        for left in folder.parent.glob(f".{folder.name}.*.partial"):  # of a run that was killed
-            if not _runs(left.name.split(".")[-2]):
-                shutil.rmtree(left, ignore_errors=True)
-        draft.mkdir()
-        yield draft
-        before = draft.with_suffix(".old.partial")
-        if folder.exists():
-            os.replace(folder, before)
-        os.replace(draft, folder)
-        shutil.rmtree(before, ignore_errors=True)
-    except OSError as error:
-        reason = f"{error.strerror or error}; no designs were written: make room, or give another folder"
-        raise OSError(error.errno, reason, str(folder)) from error
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-
-
-def _runs(number):
-    """Whether a process of this number is alive."""
-    try:
-        os.kill(int(number), 0)
-    except PermissionError:
-        return True
-    except (OSError, ValueError, OverflowError):
-        return False
-    return True
 
 
 def _not_wall(label, pinched):

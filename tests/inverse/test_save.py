@@ -5,8 +5,6 @@ import json
 import os
 import resource
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import count
 
@@ -211,15 +209,6 @@ def test_what_is_there_is_kept_unless_told_otherwise(designs, tmp_path):
     assert [path.name for path in out.iterdir()] == ["mine.txt"]
     save_designs(designs, out, overwrite=True)
     assert not (out / "mine.txt").exists() and (out / "contact_sheet.png").exists()
-
-
-def test_the_remains_of_a_killed_run_are_swept(designs, tmp_path):
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    (tmp_path / f".out.{ended.pid}.partial").mkdir()
-    (tmp_path / f".out.{os.getppid()}.partial").mkdir()  # this one is at work
-    save_designs(designs, tmp_path / "out")
-    assert sorted(os.listdir(tmp_path)) == [f".out.{os.getppid()}.partial", "out"]
 
 
 @pytest.mark.parametrize("sizes", [{"size_mm": 0}, {"depth_mm": float("nan")}, {"size_mm": True}])
