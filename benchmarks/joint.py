@@ -32,8 +32,8 @@ from inflate_lib.experiments import run
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.experiments.run import held_out_targets, judge, model_digest
 from inflate_lib.inverse.search import MODELS
-from inflate_lib.inverse.targets import relative_misses
 from inflate_lib.models.calibration import Calibration
+from inflate_lib.models.reach import relative_misses
 from inflate_lib.paths import PRETRAINED
 
 TOGETHER = (

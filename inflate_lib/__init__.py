@@ -30,6 +30,7 @@ __getattr__, __dir__, __all__ = attach(
         "mechanics.contact": ["self_contact"],
         "descriptors": ["describe"],
         "datasets.simulate": ["simulate_dataset", "simulated_sevens"],
+        "models.weights": ["load_model"],
         "inverse.search": ["design"],
     },
 )

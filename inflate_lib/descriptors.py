@@ -73,28 +73,39 @@ class Descriptors:
 
 def _vectors(name, values):
     """(n, N) one descriptor as a model is conditioned on it, from ``values(variable)``, (n, ·) each."""
-    if name == JOINT:
-        return np.column_stack([_vectors(part, values) for part in PARTS])
-    return np.column_stack([values(variable) for variable in VARIABLES[check_name(name)]])
+    return np.column_stack([values(variable) for part in parts_of(name) for variable in VARIABLES[part]])
 
 
 def check_name(name):
     """Return `name`, or raise a ValueError that lists the descriptors."""
-    if name not in VARIABLES and name != JOINT:
+    if name not in VARIABLES and name != JOINT and not ("+" in name and set(name.split("+")) <= set(PARTS)):
         raise ValueError(f"unknown descriptor {name!r}; choose one of {', '.join(VARIABLES)}, {JOINT}")
     return name
 
 
 def length(name):
     """Number of components of a descriptor."""
-    return (DESCRIPTORS | PHYSICAL | {JOINT: sum(PARTS.values())})[check_name(name)]
+    return sum(PARTS[part] for part in parts_of(name))
+
+
+def parts_of(name):
+    """The :data:`PARTS` that a descriptor is made of: ("height", "width") for "box", all of them for "joint".
+
+    Any others that are asked for together go by a name with plus signs: "height+area".
+    """
+    return {"box": ("height", "width"), JOINT: tuple(PARTS)}.get(check_name(name)) or tuple(name.split("+"))
+
+
+def name_of(parts):
+    """The reverse of :func:`parts_of`: what parts, in any order, are called together."""
+    parts = tuple(part for part in PARTS if part in parts)
+    return {("height", "width"): "box", tuple(PARTS): JOINT}.get(parts) or "+".join(parts)
 
 
 def joint_conditions(name, values):
     """Descriptors (n, N) as a model of the descriptor "joint" is told them, (n, 65): NaN for what is not asked for."""
     values = np.asarray(values, dtype=float)
-    asked = {"box": ("height", "width"), JOINT: tuple(PARTS)}.get(check_name(name), (name,))
-    columns = np.isin(np.repeat(list(PARTS), list(PARTS.values())), asked)
+    columns = np.isin(np.repeat(list(PARTS), list(PARTS.values())), parts_of(name))
     conditions = np.full((len(values), columns.size), np.nan)
     conditions[:, columns] = values
     return conditions

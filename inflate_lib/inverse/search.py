@@ -24,8 +24,9 @@ from inflate_lib.diffusion._storage import fingerprint
 from inflate_lib.inverse.constraints import Constraints, mirrored
 from inflate_lib.inverse.refine import attempt
 from inflate_lib.inverse.refine import refine as refine_structure
-from inflate_lib.inverse.targets import Targets, as_targets, check_reach, errors
+from inflate_lib.inverse.targets import Targets, as_targets, errors
 from inflate_lib.mechanics.inflation import Inflation
+from inflate_lib.models.reach import check_reach
 from inflate_lib.models.weights import trained_models
 from inflate_lib.structures.labels import FRAME, OUTSIDE
 
@@ -200,7 +201,7 @@ def design(
     _check_model(name, model, targets)
     if data is None:
         data = simulated_sevens(model.metadata.get("source", "auto"))
-    check_reach(targets, data)
+    check_reach(targets.vectors, data)
     found = Designs([], [], targets, constraints, tolerance, n, prefer, seed, _about(name, model), sampling)
     wanted, best, seen, clock = targets.vector(name), [], set(), Counter()
     aim = np.clip(wanted, model.condition_min, model.condition_max)

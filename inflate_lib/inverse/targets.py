@@ -11,14 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, PHYSICAL, describe, descriptor_matrix
+from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, PHYSICAL, describe
 from inflate_lib.inverse.drawings import read_outline
 from inflate_lib.mechanics import contact
+from inflate_lib.models.reach import AGREE, SHAPE, axis_height, relative_misses
 
-SHAPE = ("height", "width", "area")
 SCALARS = (*SHAPE, *PHYSICAL)
-AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
-REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
 
 
 @dataclass(frozen=True)
@@ -66,6 +64,11 @@ class Targets:
     def asked(self):
         """Names of the descriptors that are asked for: "height", "width", "area", "stress", "stretch", "axis"."""
         return tuple(name for name in (*SCALARS, "axis") if getattr(self, name) is not None)
+
+    @property
+    def vectors(self):
+        """Name → vector (N,) of each descriptor that is asked for."""
+        return {name: self.vector(name) for name in self.asked}
 
     def vector(self, name):
         """(N,) the target of one descriptor, NaN where it is not asked for; an axis says what the height is."""
@@ -178,11 +181,6 @@ def check_axis(points):
     return np.column_stack([np.interp(y, points[:, 1], points[:, 0]), y])
 
 
-def axis_height(axis):
-    """Height of the shape that a medial axis (…, 30, 2) belongs to: the axis ends one increment below the top."""
-    return axis[..., -1, 1] * AXIS_POINTS / (AXIS_POINTS - 1)
-
-
 def read_axis(path):
     """Medial axis (30, 2) from a CSV file: two columns x, y, with or without a heading, in lengths of the unit square.
 
@@ -227,73 +225,6 @@ def errors(targets, shape):
         the axis belongs to.
     """
     return {name: float(relative_misses(name, shape.vector(name), targets.vector(name))) for name in targets.asked}
-
-
-def relative_misses(name, achieved, wanted):
-    """Relative errors of one descriptor's vectors (…, N), as an array (…,); see :func:`errors`."""
-    if name != "axis":
-        return np.abs(achieved[..., 0] / wanted[..., 0] - 1)
-    apart = (achieved - wanted).reshape(*achieved.shape[:-1], -1, 2)
-    return np.linalg.norm(apart, axis=-1).mean(axis=-1) / axis_height(wanted.reshape(*wanted.shape[:-1], -1, 2))
-
-
-def check_reach(targets, data):
-    """Refuse targets that contradict each other, or that no structure of the data set comes near.
-
-    Parameters
-    ----------
-    targets : Targets
-    data : xarray.Dataset
-        Simulated structures, from :func:`inflate_lib.simulate_dataset`.
-
-    Raises
-    ------
-    ValueError
-        With the reachable range and the nearest target within reach.
-    """
-    data = data.isel(structure=np.flatnonzero(data["converged"].values))
-    values = {name: descriptor_matrix(data, name) for name in targets.asked}
-    miss = np.max([relative_misses(name, values[name], targets.vector(name)) for name in targets.asked], axis=0)
-    nearest = int(np.argmin(miss))
-    problem = contradiction(targets)
-    for name in SCALARS:
-        wanted = getattr(targets, name)
-        if not problem and wanted is not None:
-            least, most = values[name].min() * (1 - AGREE), values[name].max() * (1 + AGREE)
-            problem = "" if least <= wanted <= most else f"{name} {wanted:.4g} is out of reach"
-    if not problem and miss[nearest] > REACH:
-        together = "the axis" if targets.asked == ("axis",) else "together they"
-        problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
-    if not problem:
-        return
-    shown = [name for name in SCALARS if name in targets.asked or (name in SHAPE and "axis" in targets.asked)]
-    ranges = {name: descriptor_matrix(data, name) for name in shown}
-    reach = ", ".join(f"{name} {v.min():.3f} to {v.max():.3f}" for name, v in ranges.items())
-    if len(targets.asked) == 1 and targets.asked[0] in SCALARS:
-        (name,) = targets.asked
-        there = f"{name} {np.clip(getattr(targets, name), values[name].min(), values[name].max()):.3f}"
-    else:
-        there = ", ".join(f"{name} {v[nearest, 0]:.3f}" for name, v in ranges.items())
-        if "axis" in targets.asked:
-            lean = np.abs(values["axis"][nearest].reshape(-1, 2)[:, 0]).max()
-            there += f" and an axis that moves {lean:.3f} sideways"
-    raise ValueError(
-        f"{problem}. The {len(miss)} inflated structures of the data set reach {reach}; the nearest reachable target "
-        f"is {there}."
-    )
-
-
-def contradiction(targets):
-    """Why no shape at all can meet the targets, or an empty text."""
-    height, width, area = (targets.vector(name)[0] for name in SHAPE)
-    if targets.axis is not None:
-        if abs(axis_height(targets.axis) / height - 1) > AGREE:
-            return f"height {height:.4g} contradicts the axis, which belongs to height {axis_height(targets.axis):.4g}"
-        if (span := np.ptp(targets.axis[:, 0])) > width:
-            return f"width {width:.4g} contradicts the axis, which alone is {span:.4g} wide"
-    if area > height * width * (1 + AGREE):
-        return f"area {area:.4g} is larger than the box of height {height:.4g} and width {width:.4g}"
-    return ""
 
 
 def _points(name, points):

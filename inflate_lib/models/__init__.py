@@ -6,7 +6,7 @@ __getattr__, __dir__, __all__ = attach(
     __name__,
     {
         "train": ["train_models", "training_config"],
-        "weights": ["committed_weights", "trained_models"],
+        "weights": ["Model", "committed_weights", "load_model", "trained_models"],
         "calibration": ["Calibration"],
     },
 )

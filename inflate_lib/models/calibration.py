@@ -8,7 +8,7 @@ fit a linear g by least squares. To get c, the model is then told g⁻¹(c). Hel
 Guidance narrows the scatter around g at the price of exaggeration; calibration takes the exaggeration back.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -60,6 +60,15 @@ class Calibration:
             f"the model hardly follows its descriptor (slope {weakest:.2f} of achieved on wanted): train it longer, "
             "or do without calibration"
         )
+
+    def as_dict(self):
+        """Plain numbers, for the header of a file of weights."""
+        return {name: value.tolist() for name, value in vars(self).items()}
+
+    @classmethod
+    def from_dict(cls, values):
+        """The reverse of :meth:`as_dict`; what else `values` say, such as how the fit was made, is passed over."""
+        return cls(*(np.array(values[field.name], dtype=float) for field in fields(cls)))
 
     def answer(self, told):
         """g: what the model draws on average when it is told ``told`` (n, N)."""

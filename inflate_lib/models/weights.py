@@ -1,16 +1,164 @@
-"""Trained weights: committed, or in the cache."""
+"""A model to ask for structures, and where its weights are: committed, or in the cache."""
 
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from inflate_lib import paths
 from inflate_lib._cache import RETRAIN
 from inflate_lib.datasets.pairs import _about, _mean
-from inflate_lib.diffusion import TrainedModel
+from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, VARIABLES, joint_conditions, length, name_of, parts_of
+from inflate_lib.diffusion import TrainedModel, generate
+from inflate_lib.models.calibration import Calibration
+from inflate_lib.models.reach import check_reach, load_reach
 from inflate_lib.models.train import train_models, training_config
 from inflate_lib.structures import augmentation
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained model with what belongs to it: ask it for structures with :meth:`draw`.
+
+    Attributes
+    ----------
+    name : str
+        The descriptor that it was trained for.
+    trained : inflate_lib.diffusion.TrainedModel
+    sampling : Mapping
+        Options of :func:`inflate_lib.diffusion.generate`: sampler, steps, eta, guidance.
+    calibrations : Mapping
+        Descriptor asked for → :class:`Calibration`, good for this sampling alone. What has none is told as it is.
+    reach : xarray.Dataset, optional
+        Descriptors of the simulated structures, beyond which nothing is drawn (:mod:`inflate_lib.models.reach`).
+    """
+
+    name: str
+    trained: TrainedModel
+    sampling: Mapping = field(default_factory=dict)
+    calibrations: Mapping[str, Calibration] = field(default_factory=dict)
+    reach: Any = None
+
+    @property
+    def takes(self) -> tuple[str, ...]:
+        """The descriptors that it can be told, all of them together; "joint" takes any of its own."""
+        return parts_of(self.name)
+
+    def draw(self, targets: Mapping[str, Any], n: int = 1, seed: int = 0) -> np.ndarray:
+        """Structures that are drawn to inflate to the targets; how near they come, a simulation tells.
+
+        Parameters
+        ----------
+        targets : Mapping
+            Descriptor → value, in lengths and areas of the unit square: ``{"height": 1.05, "area": 0.8}``; "box" is
+            (height, width), "axis" (30, 2). Or an array of m values, an axis (m, 30, 2). The joint model takes any
+            combination; calibrated are those of height, width and area, and axis, stress and stretch alone. Others are
+            told as they are.
+        n : int
+            Structures for each target.
+        seed : int
+            Structure i depends on the seed, on i and on its own target alone.
+
+        Returns
+        -------
+        array, shape (m · n, 28, 28), float32 in [0, 1]
+            The n structures of the first target, then those of the second, …
+
+        Raises
+        ------
+        ValueError
+            The model does not take such targets; they are no finite numbers of the right shape; or out of reach, with
+            the range that can be reached.
+        """
+        for name, value, least in (("n", n, 1), ("seed", seed, 0)):
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+                raise ValueError(f"{name} must be a whole number of at least {least}, not {value!r}")
+        wanted = self._vectors(targets)
+        m = len(next(iter(wanted.values())))
+        for row in range(m if self.reach is not None else 0):
+            try:
+                check_reach({name: values[row] for name, values in wanted.items()}, self.reach)
+            except ValueError as error:
+                raise ValueError(f"target {row}: {error}" if m > 1 else str(error)) from None
+        told = self.told(name_of(wanted), np.column_stack(list(wanted.values())))
+        with warnings.catch_warnings():  # what a calibrated model is told may lie outside
+            warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")
+            return generate(self.trained, np.repeat(told, n, axis=0), seed=seed, **self.sampling)
+
+    def told(self, descriptor: str, targets: np.ndarray) -> np.ndarray:
+        """What the network is told, (m, ·), to get targets (m, N) of a descriptor."""
+        calibration = self.calibrations.get(descriptor)
+        told = targets if calibration is None else calibration.told(targets)
+        return joint_conditions(descriptor, told) if self.trained.config.parts else told
+
+    def _vectors(self, targets):
+        """Targets as vectors (m, N), by their names, in the order of :data:`inflate_lib.descriptors.PARTS`."""
+        if not isinstance(targets, Mapping) or not targets:
+            raise ValueError(f"targets must be a mapping such as {{'{self.takes[0]}': 1.05}}, not {targets!r}")
+        takes = f"the {self.name} model takes {', '.join(self.takes)}" + ", any of them" * (self.name == JOINT)
+        found = {}
+        for name, value in targets.items():
+            if name not in VARIABLES or not set(parts_of(name)) <= set(self.takes):
+                raise ValueError(f"{takes}, not {name!r}")
+            values = _as_vectors(name, value)
+            columns = np.split(values, np.cumsum([PARTS[part] for part in parts_of(name)])[:-1], axis=1)
+            for part, column in zip(parts_of(name), columns, strict=True):
+                if part in found:
+                    raise ValueError(f"{part} is asked for twice")
+                found[part] = column
+        if self.name != JOINT and (missing := [part for part in self.takes if part not in found]):
+            raise ValueError(f"{takes}: {', '.join(missing)} is not given")
+        if len(many := {len(values) for values in found.values()} - {1}) > 1:
+            raise ValueError(f"targets must be as many of each descriptor, not {' and '.join(map(str, sorted(many)))}")
+        m = max(map(len, found.values()))
+        return {part: np.repeat(found[part], m // len(found[part]), axis=0) for part in PARTS if part in found}
+
+
+def _as_vectors(name, value):
+    """One or several values of a descriptor as vectors (m, N)."""
+    n = length(name)
+    one = (AXIS_POINTS, 2) if name == "axis" else (n,) if n > 1 else ()
+    wanted = {"axis": "an array (30, 2) or (m, 30, 2)", "box": "(height, width) or an array (m, 2)"}
+    problem = f"{name} must be {wanted.get(name, 'a number or an array (m,)')}, not "
+    try:
+        values = np.asarray(value, dtype=float)
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"{problem}{value!r}") from None
+    if values.size == 0 or values.shape not in (one, (len(np.atleast_1d(values)), *one)):
+        raise ValueError(f"{problem}one of shape {values.shape}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} must be finite, not {values[~np.isfinite(values)][0]}")
+    return values.reshape(-1, n)
+
+
+def load_model(name: str, profile: str = "laptop") -> Model:
+    """The committed weights of a model, with the sampler, the calibrations and the reach that belong to them.
+
+    Parameters
+    ----------
+    name : {"height", "width", "box", "area", "axis", "joint"}
+    profile : str
+        A folder of ``data/pretrained``.
+
+    Raises
+    ------
+    ValueError
+        There are no such weights, with those that there are; or they are damaged.
+    """
+    folder = paths.PRETRAINED / str(profile)
+    there = {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
+    if not there:
+        profiles = ", ".join(sorted(path.name for path in paths.PRETRAINED.glob("*/"))) or "none"
+        raise ValueError(f"no weights of the profile {profile!r}; there are: {profiles}")
+    if name not in there:
+        raise ValueError(f"no model {name!r} of the profile {profile!r}; there are: {', '.join(there)}")
+    trained = TrainedModel.load(there[name])
+    stored = trained.metadata.get("calibration", {})
+    calibrations = {asked: Calibration.from_dict(values) for asked, values in stored.items()}
+    return Model(name, trained, trained.metadata.get("sampling", {}), calibrations, load_reach(folder))
 
 
 def committed_weights(descriptor, training, data, n_augmented=augmentation.PAPER_SAMPLES, seed=0):

@@ -13,14 +13,12 @@ from inflate_lib.inverse.drawings import read_outline
 from inflate_lib.inverse.targets import (
     Targets,
     as_targets,
-    axis_height,
-    check_reach,
-    contradiction,
     errors,
     outline_targets,
     read_axis,
     read_targets,
 )
+from inflate_lib.models.reach import axis_height, check_reach, contradiction
 from inflate_lib.structures.sources import load_sevens
 
 
@@ -95,7 +93,7 @@ def test_the_outline_of_a_structure_asks_for_that_structure(tmp_path, data):
     shape = describe(result)
     drawn = outline_targets(read_outline(svg(tmp_path / "a.svg", f'<polygon points="{points}"/>'), unit=40))
     assert max(errors(drawn, shape).values()) < 1e-12
-    check_reach(drawn, data)
+    check_reach(drawn.vectors, data)
 
 
 def test_an_axis_file_gives_back_its_points(tmp_path, data):
@@ -140,7 +138,7 @@ def test_whatever_the_data_set_holds_is_within_reach(data):
         everything["axis"] = one.medial_axis.values
         some = ["height"], ["width", "area"], ["stress", "stretch"], ["axis"], ["axis", "width"]
         for names in (*some, list(everything)):
-            check_reach(as_targets({name: everything[name] for name in names}), data)
+            check_reach(as_targets({name: everything[name] for name in names}).vectors, data)
 
 
 @pytest.mark.parametrize(
@@ -156,7 +154,7 @@ def test_whatever_the_data_set_holds_is_within_reach(data):
 )
 def test_the_impossible_is_refused_with_the_range_and_the_nearest(data, targets, problem):
     with pytest.raises(ValueError, match=problem) as refused:
-        check_reach(as_targets(targets), data)
+        check_reach(as_targets(targets).vectors, data)
     message = str(refused.value)
     for name in ("height", "width", "area"):
         if name in targets:
@@ -167,7 +165,7 @@ def test_the_impossible_is_refused_with_the_range_and_the_nearest(data, targets,
     found = {name: float(value) for name, value in re.findall(r"(height|width|area) (\d+\.\d+)", nearest)}
     if "axis" not in targets:
         assert set(found) == set(targets)
-    check_reach(as_targets(found), data)  # asking for it is no error
+    check_reach(as_targets(found).vectors, data)  # asking for it is no error
 
 
 @pytest.mark.parametrize("name", ["stress", "stretch"])
@@ -175,7 +173,7 @@ def test_peaks_out_of_reach_are_refused_in_their_own_units(data, name):
     values = data[f"peak_{name}"].values
     for wanted in (1.01 * values.max(), 1.5 * values.max()):
         with pytest.raises(ValueError, match=f"{name} {wanted:.4g} is out of reach") as refused:
-            check_reach(as_targets({name: wanted}), data)
+            check_reach(as_targets({name: wanted}).vectors, data)
         assert f"reach {name} {values.min():.3f} to {values.max():.3f}" in str(refused.value)
         assert str(refused.value).endswith(f"target is {name} {values.max():.3f}.")
 
@@ -183,7 +181,7 @@ def test_peaks_out_of_reach_are_refused_in_their_own_units(data, name):
 def test_the_stress_follows_from_the_stretch(data):
     """Rubber keeps its volume: the largest stress with the smallest stretch is a contradiction, though each occurs."""
     with pytest.raises(ValueError, match="together they cannot be reached"):
-        check_reach(Targets(stress=float(data.peak_stress.max()), stretch=float(data.peak_stretch.min())), data)
+        check_reach(Targets(stress=float(data.peak_stress.max()), stretch=float(data.peak_stretch.min())).vectors, data)
 
 
 def test_stress_goes_with_an_outline():
@@ -197,9 +195,9 @@ def test_stress_goes_with_an_outline():
 def test_each_within_reach_is_not_both(data):
     """The tallest structure with the width of the slimmest one: both occur, never together."""
     targets = as_targets({"height": float(data.height.max()), "width": float(data.width.min())})
-    assert not contradiction(targets)
+    assert not contradiction(targets.vectors)
     with pytest.raises(ValueError, match="together they cannot be reached: the closest of all structures misses by"):
-        check_reach(targets, data)
+        check_reach(targets.vectors, data)
 
 
 @pytest.mark.parametrize(

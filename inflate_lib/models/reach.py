@@ -1,0 +1,130 @@
+"""What can be reached: targets that contradict themselves, or that no structure comes near, are refused.
+
+What is compared with is a data set of simulated structures, or the *table* of their descriptors alone, which lies
+beside committed weights (``reach.npz``), so that a model can be asked where no image is at hand.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from inflate_lib.descriptors import AXIS_POINTS, PARTS, VARIABLES, descriptor_matrix
+
+FILE = "reach.npz"  # beside the weights
+AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
+REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
+SHAPE = ("height", "width", "area")
+_VARIABLES = [variable for part in PARTS for variable in VARIABLES[part]]
+
+
+def reach_of(data):
+    """The table of a data set: its descriptors, of the structures that inflate, as a data set without the rest."""
+    return data[[*_VARIABLES, "converged"]].isel(structure=np.flatnonzero(data["converged"].values))
+
+
+def save_reach(data, folder: Path) -> Path:
+    """Write the table of a data set beside the weights in a folder, in 32 bits."""
+    file = Path(folder) / FILE
+    table = reach_of(data)
+    np.savez_compressed(file, **{name: table[name].values.astype(np.float32) for name in _VARIABLES})
+    return file
+
+
+def load_reach(folder: Path):
+    """Read the table that lies beside the weights in a folder.
+
+    Raises
+    ------
+    ValueError
+        The file is not there, or is none that :func:`save_reach` wrote.
+    """
+    import xarray as xr
+
+    file = Path(folder) / FILE
+    dims = {"medial_axis": ("structure", "point", "axis")}
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            values = {name: (dims.get(name, ("structure",)), stored[name].astype(float)) for name in _VARIABLES}
+        n = len(values["height"][1])
+        return xr.Dataset(values | {"converged": ("structure", np.ones(n, dtype=bool))})
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise ValueError(f"{file} cannot be read; `inflate card` writes it beside the weights ({error})") from None
+
+
+def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
+    """Refuse a target that contradicts itself, or that no structure of the data set comes near.
+
+    Parameters
+    ----------
+    wanted : Mapping
+        Name of each descriptor that is asked for, of :data:`inflate_lib.descriptors.PARTS` → its vector (N,).
+    data : xarray.Dataset
+        Simulated structures, from :func:`inflate_lib.simulate_dataset`, or their table.
+
+    Raises
+    ------
+    ValueError
+        With the reachable range and the nearest target within reach.
+    """
+    data = data.isel(structure=np.flatnonzero(data["converged"].values))
+    values = {name: descriptor_matrix(data, name) for name in wanted}
+    miss = np.max([relative_misses(name, values[name], wanted[name]) for name in wanted], axis=0)
+    nearest = int(np.argmin(miss))
+    scalars = [name for name in PARTS if name in wanted and name != "axis"]
+    problem = contradiction(wanted)
+    for name in scalars:
+        value, least, most = wanted[name][0], values[name].min() * (1 - AGREE), values[name].max() * (1 + AGREE)
+        if not problem and not least <= value <= most:
+            problem = f"{name} {value:.4g} is out of reach"
+    if not problem and miss[nearest] > REACH:
+        together = "the axis" if tuple(wanted) == ("axis",) else "together they"
+        problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
+    if not problem:
+        return
+    shown = [name for name in PARTS if name in scalars or (name in SHAPE and "axis" in wanted)]
+    ranges = {name: descriptor_matrix(data, name) for name in shown}
+    reach = ", ".join(f"{name} {v.min():.3f} to {v.max():.3f}" for name, v in ranges.items())
+    if len(wanted) == 1 and scalars:
+        (name,) = scalars
+        there = f"{name} {np.clip(wanted[name][0], values[name].min(), values[name].max()):.3f}"
+    else:
+        there = ", ".join(f"{name} {v[nearest, 0]:.3f}" for name, v in ranges.items())
+        if "axis" in wanted:
+            lean = np.abs(values["axis"][nearest].reshape(-1, 2)[:, 0]).max()
+            there += f" and an axis that moves {lean:.3f} sideways"
+    raise ValueError(
+        f"{problem}. The {len(miss)} inflated structures of the data set reach {reach}; the nearest reachable target "
+        f"is {there}."
+    )
+
+
+def contradiction(wanted: Mapping[str, np.ndarray]) -> str:
+    """Why no shape at all can meet what :func:`check_reach` takes, or an empty text."""
+    height, width, area = (wanted[name][0] if name in wanted else np.nan for name in SHAPE)
+    if "axis" in wanted:
+        axis = wanted["axis"].reshape(-1, 2)
+        height = axis_height(axis) if np.isnan(height) else height
+        if abs(axis_height(axis) / height - 1) > AGREE:
+            return f"height {height:.4g} contradicts the axis, which belongs to height {axis_height(axis):.4g}"
+        if (span := np.ptp(axis[:, 0])) > width:
+            return f"width {width:.4g} contradicts the axis, which alone is {span:.4g} wide"
+    if area > height * width * (1 + AGREE):
+        return f"area {area:.4g} is larger than the box of height {height:.4g} and width {width:.4g}"
+    return ""
+
+
+def relative_misses(name, achieved, wanted):
+    """Relative errors of one descriptor's vectors (…, N), as an array (…,).
+
+    ``|achieved − wanted| / wanted``; for the axis the mean distance of its points over the height that it belongs to.
+    """
+    if name != "axis":
+        return np.abs(achieved[..., 0] / wanted[..., 0] - 1)
+    apart = (achieved - wanted).reshape(*achieved.shape[:-1], -1, 2)
+    return np.linalg.norm(apart, axis=-1).mean(axis=-1) / axis_height(wanted.reshape(*wanted.shape[:-1], -1, 2))
+
+
+def axis_height(axis):
+    """Height of the shape that a medial axis (…, 30, 2) belongs to: the axis ends one increment below the top."""
+    return axis[..., -1, 1] * AXIS_POINTS / (AXIS_POINTS - 1)

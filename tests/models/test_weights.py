@@ -1,0 +1,139 @@
+"""A model is asked for structures: each depends on the seed, on its number and on its own target alone."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from inflate_lib import load_model, paths, simulated_sevens
+from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, length
+from inflate_lib.diffusion import TrainedModel, TrainingConfig
+from inflate_lib.models.calibration import Calibration
+from inflate_lib.models.reach import load_reach, reach_of, save_reach
+from inflate_lib.models.weights import Model
+
+FAST = {"sampler": "ddim", "steps": 2, "eta": 1.0, "guidance": 2.0}
+CLOSE = {"rtol": 0, "atol": 1e-3}  # a batch of another size rounds otherwise, and a network of chance magnifies it
+
+
+@pytest.fixture(scope="module")
+def reach():
+    return reach_of(simulated_sevens("digits", 60))
+
+
+@pytest.fixture(scope="module")
+def ask(reach):
+    """Untrained models of every descriptor, by name; each sees what it is told."""
+    models = {}
+    for name in (*DESCRIPTORS, JOINT):
+        parts = tuple(PARTS.values()) if name == JOINT else ()
+        config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=parts)
+        low, high = np.full(length(name), -0.5), np.full(length(name), 2.0)
+        net, random = config.make_net(len(low)).eval(), torch.Generator().manual_seed(0)
+        for weights in net.parameters():  # an untrained network answers zero
+            weights.data += 0.1 * torch.randn(weights.shape, generator=random)
+        models[name] = Model(name, TrainedModel(net, config, low, high), FAST, {}, reach)
+    return models
+
+
+@given(seed=st.integers(0, 2**31), n=st.integers(1, 4), more=st.integers(1, 4), row=st.integers(0, 59))
+@settings(max_examples=15, deadline=None)
+def test_asking_for_more_gives_the_same_first_ones(ask, reach, seed, n, more, row):
+    target = {"height": float(reach.height[row]), "area": float(reach.hull_area[row])}
+    few, many = (ask[JOINT].draw(target, count, seed) for count in (n, n + more))
+    assert few.shape == (n, 28, 28) and few.dtype == np.float32 and few.min() >= 0 and few.max() <= 1
+    np.testing.assert_allclose(many[:n], few, **CLOSE)
+
+
+@given(seed=st.integers(0, 2**31), n=st.integers(1, 3), rows=st.lists(st.integers(0, 59), min_size=2, max_size=3))
+@settings(max_examples=15, deadline=None)
+def test_several_targets_are_as_each_alone(ask, reach, seed, n, rows):
+    """Structure i of an array of targets is structure i of its own target alone."""
+    axes = reach.medial_axis.values[rows]
+    together = ask["axis"].draw({"axis": axes}, n, seed)
+    assert together.shape == (len(rows) * n, 28, 28)
+    for number, axis in enumerate(axes):
+        alone = ask["axis"].draw({"axis": axis}, (number + 1) * n, seed)
+        np.testing.assert_allclose(together[number * n : (number + 1) * n], alone[number * n :], **CLOSE)
+
+
+def test_seeds_and_targets_make_a_difference(ask, reach):
+    heights = reach.height.values[:2]
+    one = ask["height"].draw({"height": heights[0]}, 2, 0)
+    assert np.abs(one - ask["height"].draw({"height": heights[0]}, 2, 1)).max() > 0.1
+    assert np.abs(one - ask["height"].draw({"height": heights[1]}, 2, 0)).max() > 1e-6
+    assert np.abs(one[0] - one[1]).max() > 0.1
+
+
+def test_a_box_is_height_and_width(ask, reach):
+    box = float(reach.height[0]), float(reach.width[0])
+    for name in ("box", JOINT):
+        by_name = ask[name].draw({"width": box[1], "height": box[0]}, 2)
+        np.testing.assert_array_equal(ask[name].draw({"box": box}, 2), by_name)
+        np.testing.assert_array_equal(ask[name].draw({"width": [box[1]] * 2, "height": box[0]}, 1)[0], by_name[0])
+
+
+def test_a_calibrated_model_is_told_something_else(ask, reach):
+    calibration = Calibration(np.array([0.9]), np.eye(1), np.array([0.02]), np.array([[1.25]]))
+    plain = ask[JOINT]
+    model = Model(JOINT, plain.trained, FAST, {"height": calibration}, reach)
+    wanted = reach.height.values[:1]
+    told = float(calibration.told(wanted[:, None])[0, 0])
+    unchecked = Model(JOINT, plain.trained, FAST)
+    np.testing.assert_array_equal(model.draw({"height": wanted}, 2), unchecked.draw({"height": told}, 2))
+    both = {"height": wanted, "area": reach.hull_area.values[:1]}  # a combination without a calibration
+    np.testing.assert_array_equal(model.draw(both, 2), plain.draw(both, 2))
+
+
+@pytest.mark.parametrize(
+    ("name", "targets", "message"),
+    [
+        ("height", {"height": 3.0}, r"height 3 is out of reach.*reach height 0\.\d+ to .*nearest reachable target"),
+        ("height", {"height": [0.9, 3.0]}, "target 1: height 3 is out of reach"),
+        (JOINT, {"height": 0.9, "width": 0.9, "area": 1.0}, "area 1 is larger than the box"),
+        ("height", {"width": 1.0}, "the height model takes height, not 'width'"),
+        (JOINT, {"hight": 1.0}, "takes height, width, area, stress, stretch, axis, any of them, not 'hight'"),
+        ("box", {"height": 0.9}, "width is not given"),
+        ("box", {"box": (0.9, 0.9), "height": 0.9}, "height is asked for twice"),
+        ("height", {"height": np.nan}, "height must be finite, not nan"),
+        ("height", {"height": []}, r"a number or an array \(m,\), not one of shape \(0,\)"),
+        ("height", {"height": "tall"}, "not 'tall'"),
+        ("height", {}, "targets must be a mapping"),
+        ("height", 0.9, "targets must be a mapping"),
+        ("axis", {"axis": np.zeros((29, 2))}, r"an array \(30, 2\) or \(m, 30, 2\), not one of shape \(29, 2\)"),
+        ("box", {"height": [0.9] * 2, "width": [0.9] * 3}, "as many of each descriptor, not 2 and 3"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(ask, name, targets, message):
+    with pytest.raises(ValueError, match=message):
+        ask[name].draw(targets)
+
+
+@pytest.mark.parametrize("bad", [{"n": 0}, {"n": 1.5}, {"n": True}, {"seed": -1}, {"seed": "0"}])
+def test_numbers_that_are_none_are_refused(ask, bad):
+    with pytest.raises(ValueError, match=f"{next(iter(bad))} must be a whole number"):
+        ask["height"].draw({"height": 0.9}, **bad)
+
+
+def test_the_table_of_reach_comes_back(reach, tmp_path):
+    save_reach(reach, tmp_path)
+    back = load_reach(tmp_path)
+    for name in ("height", "hull_area", "peak_stress", "medial_axis"):
+        np.testing.assert_allclose(back[name], reach[name], rtol=1e-6)
+    with pytest.raises(ValueError, match=r"reach\.npz cannot be read"):
+        load_reach(tmp_path / "nowhere")
+
+
+def test_weights_that_are_not_there_are_named():
+    with pytest.raises(ValueError, match=r"no model 'volume' of the profile 'laptop'; there are: area, axis, box"):
+        load_model("volume")
+    with pytest.raises(ValueError, match="no weights of the profile 'night'; there are: laptop"):
+        load_model("height", "night")
+
+
+def test_a_file_in_the_folder_is_no_profile(tmp_path, monkeypatch):
+    (tmp_path / "README.md").touch()
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path)
+    with pytest.raises(ValueError, match="there are: none"):
+        load_model("height")
