@@ -26,11 +26,14 @@ reproduce: .venv/installed ## execute what is not fresh under PROFILE, without t
 figures: .venv/installed ## execute the profile laptop and publish its figures in figures/laptop, which git keeps
 	$(BIN)/inflate reproduce --profile laptop --jobs $(JOBS) --publish
 
-test: .venv/installed-test ## run the tests
+test: .venv/installed-dev ## run the tests
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
-lint: .venv/installed-test ## check the style
+lint: .venv/installed-dev ## check the style, the direction of imports, and the types
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
 
 lab: .venv/installed-lab ## open JupyterLab on the notebooks
 	$(BIN)/jupyter lab notebooks
@@ -47,7 +50,7 @@ clean: ## remove the book, the executed notebooks and their figures (the cache i
 	touch $@
 
 .venv/installed: .venv/python $(NEEDS)
-	$(PIP) install --constraint constraints.txt --editable .
+	$(PIP) install --constraint constraints.txt --editable '.[book,design]'
 	touch $@
 
 .venv/installed-%: .venv/installed

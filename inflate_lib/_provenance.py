@@ -21,6 +21,8 @@ def code_state() -> dict[str, Any]:
     """The commit, and whether the code differs from it; "unknown" outside a git checkout."""
 
     def git(*words: str) -> str | None:
+        if not paths.in_checkout():  # the folder may yet lie in a repository of the user's
+            return None
         try:
             done = subprocess.run(["git", "-C", paths.ROOT, *words], capture_output=True, text=True, timeout=10)
         except (OSError, subprocess.TimeoutExpired):

@@ -6,22 +6,34 @@ Two environment variables move them:
 ``INFLATE_HOME``
     The checkout. Found by itself in an editable install, and from any folder inside a checkout.
 ``INFLATE_CACHE``
-    The cache of expensive steps (default ``data/cache`` in the checkout); any disk with room will do.
+    The cache of expensive steps (default ``data/cache`` in the checkout, ``~/.cache/inflate-lib`` without one); any
+    disk with room will do.
+
+Without a checkout, ``ROOT`` is the installed package, which carries the committed weights and the paper's numbers.
 """
 
 import os
 from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent
 
 
 def _find_root() -> Path:
     """The checkout: ``INFLATE_HOME``, else the folder above the package, else one above the working folder."""
     if home := os.environ.get("INFLATE_HOME"):
         return Path(home).expanduser().resolve()
-    package = Path(__file__).resolve().parent.parent
-    for folder in (package, Path.cwd(), *Path.cwd().parents):
+    for folder in (_PACKAGE.parent, Path.cwd(), *Path.cwd().parents):
         if (folder / "notebooks" / "profiles").is_dir():
             return folder
-    return package
+    return _PACKAGE
+
+
+def _find_cache() -> Path:
+    if given := os.environ.get("INFLATE_CACHE"):
+        return Path(given).expanduser().resolve()
+    if ROOT != _PACKAGE:
+        return DATA / "cache"
+    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser().resolve() / "inflate-lib"
 
 
 ROOT = _find_root()
@@ -35,4 +47,24 @@ EDITION = ROOT / "figures" / "laptop"  # the published edition, which git keeps
 DATA = ROOT / "data"
 REFERENCE = DATA / "reference"
 PRETRAINED = DATA / "pretrained"
-CACHE = Path(os.environ.get("INFLATE_CACHE") or DATA / "cache").expanduser().resolve()
+CACHE = _find_cache()
+
+
+def in_checkout() -> bool:
+    """Whether notebooks, profiles and the book are there; an installed package has none of them."""
+    return PROFILES.is_dir()
+
+
+def need_checkout(what: str) -> None:
+    """RuntimeError, with what to do, where there is no checkout.
+
+    Parameters
+    ----------
+    what : str
+        What was asked for, as the subject of the message: ``"inflate book"``.
+    """
+    if not in_checkout():
+        raise RuntimeError(
+            f"{what} works in a checkout of the repository alone, which has the notebooks and their profiles: call it "
+            f"there, or let INFLATE_HOME name that folder (it is {ROOT} now)"
+        )

@@ -44,6 +44,10 @@ def run() -> None:
     load_commands()
     try:
         app()
+    except ModuleNotFoundError as error:  # SVG outlines and Dask name their extras themselves
+        if os.environ.get("INFLATE_DEBUG"):
+            raise
+        sys.exit(f"inflate: this command needs {error.name}: pip install 'inflate-lib[book]'")
     except (ValueError, RuntimeError, OSError, FloatingPointError) as error:
         if os.environ.get("INFLATE_DEBUG"):
             raise

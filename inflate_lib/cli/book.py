@@ -2,11 +2,13 @@
 
 from inflate_lib.cli.app import Force, Jobs, ProfileName, Retrain, app
 from inflate_lib.cli.reproduce import set_retrain
+from inflate_lib.paths import need_checkout
 
 
 @app.command()
 def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False, retrain: Retrain = False) -> None:
     """Execute what is not fresh, then build the book with warnings as errors."""
+    need_checkout("inflate book")
     from inflate_lib.book.build import build_book
     from inflate_lib.book.run import reproduce
 
@@ -18,6 +20,7 @@ def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False, retr
 @app.command()
 def pdf() -> None:
     """Print the book that was built last as one PDF file, with Chromium."""
+    need_checkout("inflate pdf")
     from inflate_lib.book.pdf import print_book
 
     print(f"The book on paper: {print_book()}")

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from inflate_lib import paths
 from inflate_lib.cli.app import ProfileName, app
 
 
@@ -17,7 +18,7 @@ def card(
     ] = None,
 ) -> None:
     """Measure the weights of a profile on held-out targets, and write the model card beside them."""
-    from inflate_lib import paths
+    paths.need_checkout("inflate card")
     from inflate_lib.book.profiles import load_profile
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.experiments.card import write_card

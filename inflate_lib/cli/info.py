@@ -15,4 +15,5 @@ def info() -> None:
     print(f"Python {platform.python_version()} on {platform.platform()}")
     for name, version in package_versions().items():
         print(f"{name} {version}")
-    print(f"checkout {paths.ROOT}\ncache {paths.CACHE}\nMNIST {os.environ.get('INFLATE_MNIST_DIR', 'by download')}")
+    print(f"{'checkout' if paths.in_checkout() else 'no checkout; installed in'} {paths.ROOT}\ncache {paths.CACHE}")
+    print(f"MNIST {os.environ.get('INFLATE_MNIST_DIR', 'by download')}")

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from inflate_lib.cli.app import Force, Jobs, ProfileName, Retrain, app
+from inflate_lib.paths import need_checkout
 
 
 @app.command()
@@ -20,6 +21,7 @@ def reproduce(
     ] = False,
 ) -> None:
     """Execute the notebooks under a profile; their figures and tables go to figures/runs/<profile>."""
+    need_checkout("inflate reproduce")
     from inflate_lib.book.edition import PROFILE, publish_edition
     from inflate_lib.book.run import reproduce
 

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from inflate_lib import paths
 from inflate_lib.cli.app import ProfileName, app
 
 
@@ -25,7 +26,7 @@ def train(
 
     A machine that has little but PyTorch: --pack pairs.safetensors, and there python -m inflate_lib.models.remote …
     """
-    from inflate_lib import paths
+    paths.need_checkout("inflate train")
     from inflate_lib.book.profiles import load_profile
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, check_name

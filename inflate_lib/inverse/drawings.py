@@ -45,8 +45,10 @@ def _svg_points(path):
     """Corners of the one closed curve in an SVG file, in user units, y downwards."""
     from xml.etree import ElementTree
 
-    import svgelements
-
+    try:
+        import svgelements
+    except ImportError:
+        raise RuntimeError(f"{path}: an outline as SVG needs svgelements: pip install 'inflate-lib[design]'") from None
     try:
         root = ElementTree.parse(path).getroot()
         for name in ("width", "height", "viewBox"):  # they would turn user units into pixels of a screen

@@ -2,7 +2,6 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
-import seaborn as sns
 from matplotlib.patches import Rectangle
 
 from inflate_lib.descriptors import describe, descriptor_matrix
@@ -114,6 +113,8 @@ def plot_axis_density(experiment):
     -------
     matplotlib.figure.Figure
     """
+    import seaborn as sns  # which the figures of the book alone need
+
     level, valid = experiment["level"].values, experiment["valid"].values
     levels = np.unique(level)
     achieved = experiment["medial_axis"].values
