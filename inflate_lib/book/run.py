@@ -29,10 +29,12 @@ from inflate_lib._provenance import package_versions
 from inflate_lib.book._display import Bars, Lines
 from inflate_lib.book._execution import Kernels, Listener, execute
 from inflate_lib.book.profiles import Profile, check_profile, load_profile
+from inflate_lib.structures.sources import CHOSEN, resolve_source
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 #: loky replaces a worker that has grown by 300 MB, as one that trains a second model may, and says so with a warning.
 RESTARTED = "ignore:A worker stopped while some jobs were given to the executor:UserWarning"
+_DATA = {"mnist": "MNIST", "digits": "the embedded digits"}
 
 
 class RunError(RuntimeError):
@@ -76,6 +78,15 @@ class Job:
         return f"missing: {(paths.FIGURES / gone[0]).relative_to(paths.ROOT)}" if gone else ""
 
 
+def executed_under(notebook: Path) -> dict[str, str] | None:
+    """Profile and data source (None where it uses no data) of an executed notebook; None where it is not one."""
+    try:
+        stamp = json.loads(notebook.read_text(encoding="utf-8"))["metadata"]["inflate"]["fingerprint"]
+        return {"profile": stamp["profile"], "source": stamp["data source"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
 def plan(profile_name: str, only: Sequence[str] = ()) -> list[Job]:
     """All jobs of a profile, in order, after every check that can be made before anything runs.
 
@@ -113,12 +124,15 @@ def reproduce(
     ------
     NotebookFailed
         The first notebook that failed, with its cell and error; running ones are ended.
+    RunError
+        The data source is another one than that of the notebooks executed before, and nobody asked for it.
     """
     console = console or Console()
     if jobs < 1:
         raise RunError(f"--jobs is {jobs}; at least one notebook has to run")
     with _only_run():
         work = plan(profile_name, only)
+        _check_source(work)
         reasons = {job.name: "forced" if force else job.stale() for job in work}
         todo = [job for job in work if reasons[job.name]]
         names = {notebook.stem for notebook in find_notebooks()}
@@ -163,9 +177,26 @@ def _shared_fingerprint() -> dict[str, Any]:
 
 @functools.cache
 def _resolved(source: str) -> str:
-    from inflate_lib.structures.sources import resolve_source
-
     return resolve_source(source)
+
+
+def _check_source(work: list[Job]) -> None:
+    """Other data would execute everything again: that has to be asked for."""
+    if chosen := os.environ.get(CHOSEN):
+        if named := {source for job in work if (source := job.fingerprint["data source"]) not in (None, chosen)}:
+            raise RunError(f"--source {chosen}: this profile names its source itself, {', '.join(named)}")
+        return
+    for job in work:
+        before, now = executed_under(job.executed), job.fingerprint["data source"]
+        automatic = (
+            job.parameters.get("source") == "auto" and before and before["profile"] == job.fingerprint["profile"]
+        )
+        if automatic and before["source"] not in (None, now):
+            raise RunError(
+                f"{job.name} was executed on {_DATA[before['source']]}, and the source 'auto' means {_DATA[now]} now: "
+                f"every notebook would run again. Say --source {now} if that is meant, or --source {before['source']} "
+                "to stay with what was executed."
+            )
 
 
 def _match(number: str, notebooks: list[Path]) -> Path:

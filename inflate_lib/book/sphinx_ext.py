@@ -6,7 +6,6 @@ Besides, it brings what depends on the run into pages that do not: the picture o
 and the model cards of the committed weights.
 """
 
-import json
 import os
 import pydoc
 import re
@@ -21,6 +20,7 @@ from inflate_lib import paths
 from inflate_lib._provenance import code_state
 from inflate_lib.book.page import SOURCES
 from inflate_lib.book.profiles import ProfileError, load_profile
+from inflate_lib.book.run import executed_under
 
 HERO = "glance"  # published by notebooks/19_explorer.md
 EXPLORER = "explorer_data"  # likewise
@@ -32,15 +32,6 @@ HERO_CAPTION = (
 TABLE = "tab-"  # how the name of a published table begins, for {numref}
 MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights
 NO_WEIGHTS = "No weights are committed at the moment: the models are trained when a notebook first needs them."
-
-
-def executed_under(notebook: Path) -> dict[str, str] | None:
-    """Profile and data source (None where it uses no data) of an executed notebook; None where it is not one."""
-    try:
-        stamp = json.loads(notebook.read_text(encoding="utf-8"))["metadata"]["inflate"]["fingerprint"]
-        return {"profile": stamp["profile"], "source": stamp["data source"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
 
 
 def badge(stamp: dict[str, str]) -> nodes.Node:

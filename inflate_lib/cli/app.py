@@ -22,6 +22,7 @@ app = typer.Typer(
 ProfileName = Annotated[str, typer.Option(help="A file in notebooks/profiles, without .yml: ci, laptop, paper.")]
 Jobs = Annotated[int, typer.Option(help="Notebooks side by side.")]
 Force = Annotated[bool, typer.Option("--force", help="Execute fresh notebooks too.")]
+Source = Annotated[str, typer.Option(help="What 'auto' means in the profile: auto, mnist or digits.")]
 Retrain = Annotated[bool, typer.Option("--retrain", help="Train the models, though data/pretrained has their weights.")]
 
 

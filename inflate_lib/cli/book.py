@@ -1,18 +1,24 @@
 """``inflate book`` and ``inflate pdf``: the book, on the screen and on paper."""
 
-from inflate_lib.cli.app import Force, Jobs, ProfileName, Retrain, app
-from inflate_lib.cli.reproduce import set_retrain
+from inflate_lib.cli.app import Force, Jobs, ProfileName, Retrain, Source, app
+from inflate_lib.cli.reproduce import tell_notebooks
 from inflate_lib.paths import need_checkout
 
 
 @app.command()
-def book(profile: ProfileName = "ci", jobs: Jobs = 2, force: Force = False, retrain: Retrain = False) -> None:
+def book(
+    profile: ProfileName = "ci",
+    jobs: Jobs = 2,
+    force: Force = False,
+    retrain: Retrain = False,
+    source: Source = "auto",
+) -> None:
     """Execute what is not fresh, then build the book with warnings as errors."""
     need_checkout("inflate book")
     from inflate_lib.book.build import build_book
     from inflate_lib.book.run import reproduce
 
-    set_retrain(retrain)
+    tell_notebooks(retrain, source)
     reproduce(profile, (), jobs, force)
     build_book(profile)
 

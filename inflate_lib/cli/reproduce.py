@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from inflate_lib.cli.app import Force, Jobs, ProfileName, Retrain, app
+from inflate_lib.cli.app import Force, Jobs, ProfileName, Retrain, Source, app
 from inflate_lib.paths import need_checkout
 
 
@@ -16,6 +16,7 @@ def reproduce(
     jobs: Jobs = 2,
     force: Force = False,
     retrain: Retrain = False,
+    source: Source = "auto",
     publish: Annotated[
         bool, typer.Option("--publish", help="Then replace figures/laptop, the edition that git keeps.")
     ] = False,
@@ -27,15 +28,20 @@ def reproduce(
 
     if publish and (profile != PROFILE or only):
         raise ValueError(f"--publish is for a run of all notebooks under the profile {PROFILE}")
-    set_retrain(retrain)
+    tell_notebooks(retrain, source)
     reproduce(profile, only or (), jobs, force)
     if publish:
         publish_edition()
 
 
-def set_retrain(retrain: bool) -> None:
-    """Tell the notebooks, which run in processes of their own."""
+def tell_notebooks(retrain: bool, source: str) -> None:
+    """Hand these options to the notebooks, which run in processes of their own."""
     from inflate_lib._cache import RETRAIN
+    from inflate_lib.structures.sources import CHOSEN, SOURCES
 
+    if source not in SOURCES:
+        raise ValueError(f"--source is {source!r}; it must be one of {', '.join(SOURCES)}")
+    if source != "auto":
+        os.environ[CHOSEN] = source
     if retrain:
         os.environ[RETRAIN] = "1"

@@ -18,8 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from inflate_lib import paths
+from inflate_lib._files import draft
 
 SOURCES = ("auto", "mnist", "digits")
+CHOSEN = "INFLATE_SOURCE"  # set by --source: what "auto" is to mean
 DESCRIPTIONS = {"train": "MNIST training sevens", "test": "MNIST test sevens", "digits": "scikit-learn digits"}
 FILES = {
     "train": ("train-images-idx3-ubyte", "train-labels-idx1-ubyte"),
@@ -55,9 +57,12 @@ class Sevens:
 def resolve_source(source="auto"):
     """The source that ``source`` stands for: ``"mnist"`` or ``"digits"``.
 
-    ``"auto"`` is MNIST where it can be had, else the embedded digits, and then it says so on standard output. Once
-    ``INFLATE_MNIST_DIR`` is set it must hold the files: a missing or wrong one is an error, never a silent fallback.
+    ``"auto"`` is what the environment variable ``INFLATE_SOURCE`` names; without it MNIST where it can be had, else the
+    embedded digits, and then it says so on standard output. Once ``INFLATE_MNIST_DIR`` is set it must hold the files: a
+    missing or wrong one is an error, never a silent fallback.
     """
+    if source == "auto":
+        source = os.environ.get(CHOSEN) or source
     if source not in SOURCES:
         raise ValueError(f"source is {source!r}; it must be one of {', '.join(map(repr, SOURCES))}")
     if source != "auto":
@@ -149,12 +154,9 @@ def _remember(name, content):
     """Keep verified bytes in the cache; one that cannot be written is no reason to do without the data."""
     path = paths.CACHE / "mnist" / name
     with suppress(OSError):
-        if path.is_file() and path.read_bytes() == content:
-            return
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_name(f".{name}.{os.getpid()}")
-        draft.write_bytes(content)
-        os.replace(draft, path)
+        if not path.is_file() or path.read_bytes() != content:
+            with draft(path) as place:
+                place.write_bytes(content)
 
 
 def _download(name):

@@ -12,7 +12,8 @@ import pytest
 
 from inflate_lib import paths
 from inflate_lib.book.pdf import find_chromium, print_page, sandbox_flags
-from inflate_lib.book.sphinx_ext import EXPLORER, executed_under
+from inflate_lib.book.run import executed_under
+from inflate_lib.book.sphinx_ext import EXPLORER
 
 pytestmark = pytest.mark.book
 HTML = paths.BOOK / "_build" / "html"

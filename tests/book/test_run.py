@@ -25,6 +25,7 @@ from inflate_lib.book.profiles import ProfileError
 from inflate_lib.book.run import RunError, plan
 from inflate_lib.cli import app
 from inflate_lib.cli.book import book
+from inflate_lib.structures import sources
 
 HEADER = """\
 ---
@@ -83,7 +84,7 @@ def make_home(folder, files=("01_first", "02_second")):
 
 def point_to(home, patch):
     below = {"ROOT": "", "NOTEBOOKS": "notebooks", "PROFILES": "notebooks/profiles", "BOOK": "book"}
-    below |= {"EXECUTED": "book/notebooks", "REPORTS": "book/_build/reports", "FIGURES": "figures", "DATA": "data"}
+    below |= {"EXECUTED": "book/notebooks", "REPORTS": "book/_build/reports", "FIGURES": "figures/runs", "DATA": "data"}
     below |= {"REFERENCE": "data/reference", "PRETRAINED": "data/pretrained", "CACHE": "data/cache"}
     for name, folder in below.items():
         patch.setattr(paths, name, home / folder)
@@ -132,7 +133,7 @@ def test_a_run_executes_and_says_what_it_did(finished):
     for name in ("01_first", "02_second"):
         assert f"{name}: not executed yet" in output
         assert f"{name}: done in" in output
-        assert (home / "figures" / "ci" / f"fig_{name}.png").is_file()
+        assert (home / "figures" / "runs" / "ci" / f"fig_{name}.png").is_file()
     assert "seconds" in output
     assert sorted(p.name for p in (home / "book" / "notebooks").glob("*.*nb*")) == ["01_first.ipynb", "02_second.ipynb"]
     assert not list((home / "data" / "cache" / "runs").iterdir())
@@ -177,8 +178,8 @@ def test_a_book_is_refused_for_every_kind_of_staleness(done, monkeypatch):
     assert stale() == ["", ""]
     with pytest.raises(RunError, match=r"(?s)01_first: executed under profile ci.*02_second"):
         check_book("laptop")
-    (done / "figures" / "ci" / "fig_01_first.svg").unlink()
-    assert stale() == ["missing: figures/ci/fig_01_first.svg", ""]
+    (done / "figures" / "runs" / "ci" / "fig_01_first.svg").unlink()
+    assert stale() == ["missing: figures/runs/ci/fig_01_first.svg", ""]
     source = done / "notebooks" / "02_second.md"
     source.write_text(source.read_text() + "\nOne more word.\n")
     assert stale()[1] == "changed since: notebook"
@@ -296,6 +297,36 @@ def test_missing_data_are_found_before_anything_runs(home, monkeypatch):
     assert "01_first.ipynb" not in os.listdir(home / "book" / "notebooks")
 
 
+def test_other_data_are_used_only_where_they_are_asked_for(home, monkeypatch):
+    add(home, "01_first", "x = 1", head=HEADER.replace("steps = 10", 'source = "auto"  # data\nsteps = 10'))
+    add(home, "02_second", "x = 2")
+    for name in sources.FILES["train"]:  # to see whether MNIST can be had, nobody reads it
+        (home / name).write_text("")
+    monkeypatch.setenv("INFLATE_MNIST_DIR", str(home))
+    monkeypatch.setenv("INFLATE_SOURCE", "digits")
+    reproduce._resolved.cache_clear()  # a command asks once
+    run()
+    monkeypatch.delenv("INFLATE_SOURCE")
+    reproduce._resolved.cache_clear()
+    with pytest.raises(
+        RunError, match=r"01_first was executed on the embedded digits.*means MNIST now.*--source mnist"
+    ):
+        run()
+    monkeypatch.setenv("INFLATE_SOURCE", "digits")
+    reproduce._resolved.cache_clear()
+    assert run().count(": fresh") == 2
+    monkeypatch.setenv("INFLATE_SOURCE", "mnist")
+    reproduce._resolved.cache_clear()
+    assert "01_first: changed since: data source" in run()
+
+
+def test_a_profile_that_names_its_data_gets_no_others(home, monkeypatch):
+    add(home, "01_first", "x = 1", head=HEADER.replace("steps = 10", 'source = "digits"  # data\nsteps = 10'))
+    monkeypatch.setenv("INFLATE_SOURCE", "mnist")
+    with pytest.raises(RunError, match="--source mnist: this profile names its source itself, digits"):
+        run()
+
+
 def test_a_cache_without_room_for_the_run_is_named(home):
     add(home, "01_first", "x = 1")
     (home / "data").mkdir()
@@ -349,7 +380,7 @@ def test_two_runs_do_not_share_a_checkout(home):
 
 
 def test_a_figure_that_a_notebook_no_longer_makes_goes_away(home):
-    folder = home / "figures" / "ci"
+    folder = home / "figures" / "runs" / "ci"
     folder.mkdir(parents=True)
     (folder / "old.json").write_text('{"notebook": "01_first", "files": {"old.png": ""}}')
     (folder / "old.png").write_text("")

@@ -14,7 +14,7 @@ from docutils.utils import new_document
 
 from inflate_lib import paths
 from inflate_lib.book import pdf, sphinx_ext
-from inflate_lib.book.run import find_notebooks
+from inflate_lib.book.run import executed_under, find_notebooks
 
 
 @pytest.fixture
@@ -34,10 +34,10 @@ def executed(name, profile, source):
 
 def test_a_page_knows_its_run_only_from_its_own_notebook(home):
     executed("01_first", "ci", "mnist")
-    assert sphinx_ext.executed_under(paths.EXECUTED / "01_first.ipynb") == {"profile": "ci", "source": "mnist"}
+    assert executed_under(paths.EXECUTED / "01_first.ipynb") == {"profile": "ci", "source": "mnist"}
     (paths.EXECUTED / "02_second.ipynb").write_text("{}")
     for name in ("02_second.ipynb", "absent.ipynb", "../index.md"):
-        assert sphinx_ext.executed_under(paths.EXECUTED / name) is None
+        assert executed_under(paths.EXECUTED / name) is None
 
 
 @pytest.mark.parametrize("profile", ["ci", "laptop", "paper"])
