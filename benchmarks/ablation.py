@@ -75,7 +75,7 @@ def run(variant, seed, training, n_structures, data, targets, common, descriptor
 def train_with_one_group(seed, training, data, n_augmented, descriptor):
     """As `trained_model_file` does, but not kept: a model file does not tell one normalisation from another."""
     pairs = training_pairs(data, descriptor, n_augmented, seed)
-    rest = data.isel(structure=data["converged"].values & held_out(data))
+    rest = data.isel(structure=data["converged"].values & held_out(data.sizes["structure"]))
     unseen = rest["image"].values, descriptor_matrix(rest, descriptor)
     config = OneGroup.from_dict({**training, "seed": seed})
     return train_and_test(pairs, unseen, config, {}, None, f"training {descriptor}, one group", 1)
