@@ -3,16 +3,20 @@
 A page that was computed carries a badge below its title, with the profile and the data that its executed notebook
 names; every page a footer with profile, commit and date. Published tables have numbers and captions, as figures do.
 Besides, it brings what depends on the run into pages that do not: the picture on the first page, the explorer's data,
-and the model cards of the committed weights.
+and the model cards of the committed weights; and into the reference what each package makes public.
 """
 
 import os
+import pkgutil
 import pydoc
 import re
 from datetime import date
+from importlib import import_module
 from pathlib import Path
 
 from docutils import nodes
+from docutils.parsers.rst import Directive
+from docutils.statemachine import StringList
 from PIL import Image
 from sphinx.transforms import SphinxTransform
 
@@ -106,6 +110,26 @@ class CaptionTables(SphinxTransform):
             self.document.ids.update(dict.fromkeys(table["ids"], table))
 
 
+class PublicApi(Directive):
+    """``.. public:: package``: what a package is for, the names that it hands on, and all its public modules."""
+
+    required_arguments = 1
+
+    def run(self):
+        package = import_module(self.arguments[0])
+        parts = (module.name for module in pkgutil.iter_modules(getattr(package, "__path__", ())))
+        modules = [f"{package.__name__}.{part}" for part in parts if not part.startswith("_")]
+        lines = [f".. automodule:: {package.__name__}"]
+        if modules:
+            names = ", ".join(f"``{name}``" for name in package.__all__)
+            lines += ["   :no-members:", "", f"The package hands on {names}.", ""]
+        for module in modules:
+            lines += [f".. rubric:: ``{module}``", "", f".. automodule:: {module}", ""]
+        place = nodes.Element()
+        self.state.nested_parse(StringList(lines, source=package.__name__), self.content_offset, place)
+        return place.children
+
+
 def _configure(app, config):
     stamps = [stamp for path in sorted(paths.EXECUTED.glob("*.ipynb")) if (stamp := executed_under(path))]
     profile = stamps[0]["profile"] if stamps else "none"
@@ -178,6 +202,7 @@ def setup(app):
     app.add_enumerable_node(CaptionedTable, "table", html=(_visit_table, _depart_table))
     app.add_node(TableCaption, html=(_visit_table_caption, _depart_table_caption))
     app.add_transform(CaptionTables)
+    app.add_directive("public", PublicApi)
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)
     app.connect("doctree-read", _add_badge)

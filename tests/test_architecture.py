@@ -1,0 +1,42 @@
+"""ARCHITECTURE.md, the contract of imports and the reference speak of the library as it is."""
+
+import pkgutil
+import re
+import tomllib
+
+import inflate_lib
+from inflate_lib import paths
+
+PACKAGES = {module.name for module in pkgutil.iter_modules(inflate_lib.__path__) if module.ispkg}
+
+
+def read(name):
+    return (paths.ROOT / name).read_text(encoding="utf-8")
+
+
+def test_every_package_has_its_line_in_the_order_of_the_contract():
+    (contract,) = (
+        c for c in tomllib.loads(read("pyproject.toml"))["tool"]["importlinter"]["contracts"] if "layers" in c
+    )
+    *layers, _ground = contract["layers"]
+    order = [name for layer in reversed(layers) for name in layer.split(" | ")]
+    assert re.findall(r"^\| `(\w+)` \|", read("ARCHITECTURE.md"), flags=re.M) == order
+    assert set(order) >= PACKAGES
+
+
+def test_every_place_to_change_something_is_there():
+    table = read("ARCHITECTURE.md").split("## Where do I change")[1].split("\n## ")[0]
+    rows = [row for row in table.splitlines() if row.startswith("| ") and "`" in row]
+    assert len(rows) >= 10
+    for row in rows:
+        folder = None
+        for name in re.findall(r"`([\w./]+)`", row):
+            place = paths.ROOT / name if "/" in name or folder is None else folder / name
+            assert place.exists() or place.with_suffix(".py").is_file(), name
+            folder = place.parent
+
+
+def test_the_reference_has_every_package_that_is_no_command():
+    listed = re.findall(r"^\.\. public:: inflate_lib\.(\w+)$", read("book/api.md"), flags=re.M)
+    assert len(set(listed)) == len(listed)
+    assert set(listed) - {"descriptors"} == PACKAGES - {"cli", "descriptors"}
