@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,17 @@ class RunError(RuntimeError):
     """A run, or a book, that cannot be made as things are."""
 
 
+class Stale(StrEnum):
+    """Why a notebook has to run."""
+
+    ABSENT = "It has not been executed yet."
+    FOREIGN = "What is in its place is not a notebook that this command made."
+    PROFILE = "It was executed under the profile {}."
+    CHANGED = "What it depends on has changed: {}."
+    EDITED = "It was edited after it was executed."
+    INCOMPLETE = "A file that it published is missing: {}."
+
+
 @dataclass(frozen=True)
 class Job:
     """One notebook under one profile."""
@@ -64,18 +76,18 @@ class Job:
             stamp = notebook["metadata"]["inflate"]
             edited = stamp["cells"] != _content(notebook)
         except FileNotFoundError:
-            return "not executed yet"
+            return Stale.ABSENT
         except (OSError, ValueError, KeyError, TypeError):
-            return "not a notebook that this command made"
+            return Stale.FOREIGN
         before, now = stamp["fingerprint"], self.fingerprint
         if before.get("profile") != now["profile"]:
-            return f"executed under profile {before.get('profile')}"
+            return Stale.PROFILE.format(before.get("profile"))
         if changed := [part for part in now if before.get(part) != now[part]]:
-            return f"changed since: {', '.join(changed)}"
+            return Stale.CHANGED.format(", ".join(changed))
         if edited:
-            return "edited after it was executed"
+            return Stale.EDITED
         gone = [file for file in stamp["published"] if not (paths.FIGURES / file).is_file()]
-        return f"missing: {(paths.FIGURES / gone[0]).relative_to(paths.ROOT)}" if gone else ""
+        return Stale.INCOMPLETE.format((paths.FIGURES / gone[0]).relative_to(paths.ROOT)) if gone else ""
 
 
 def executed_under(notebook: Path) -> dict[str, str] | None:

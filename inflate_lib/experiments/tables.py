@@ -5,6 +5,8 @@ percentile bootstrap intervals (Efron & Tibshirani 1993, chapter 13): the same n
 resamples of the structures, and the range that holds the middle 95 % of the results.
 """
 
+from enum import StrEnum
+
 import numpy as np
 import pandas as pd
 
@@ -13,6 +15,21 @@ from inflate_lib.experiments.metrics import bootstrap, errors, hausdorff, point_
 from inflate_lib.experiments.run import COMPONENTS
 from inflate_lib.structures.labels import PIXEL
 
+
+class Failure(StrEnum):
+    """Why a structure of an experiment is not valid."""
+
+    BLANK = "The drawing is blank."
+    TOO_SMALL = "No piece of the drawing is large enough for a structure."
+    TOO_LARGE = "The structure does not fit the frame."
+    NO_EQUILIBRIUM = "No equilibrium was found."
+    IN_PIECES = "The drawing is in several pieces."
+    UNUSABLE = "The image cannot be inflated."
+
+
+#: How the reasons begin that a data set gives; the rest are the numbers of the structure at hand.
+FAILURES = {"image is blank": Failure.BLANK, "image has no digit": Failure.TOO_SMALL}
+FAILURES |= {"structure does not fit": Failure.TOO_LARGE, "no equilibrium": Failure.NO_EQUILIBRIUM}
 WITHIN = (0.02, 0.05, 0.10)  # shares of the target within which structures are counted
 WITHIN_PIXELS = (0.25, 0.5, 1.0)  # the same for medial axes
 
@@ -178,18 +195,17 @@ def failure_reasons(experiments):
     Returns
     -------
     pandas.Series
-        Kind of reason → number, the most frequent first; empty where all are valid.
+        :class:`Failure` → number, the most frequent first; empty where all are valid.
     """
-    kinds = []
-    for experiment in experiments:
-        for reason in experiment["reason"].values[~experiment["valid"].values]:
-            kinds.append(_kind(str(reason)))
-    return pd.Series(kinds, dtype=object).value_counts()
+    reasons = [reason for one in experiments for reason in one["reason"].values[~one["valid"].values]]
+    return pd.Series([_failure(str(reason)) for reason in reasons], dtype=object).value_counts()
 
 
-def _kind(reason):
-    """The kind of a reason, without its numbers."""
-    return reason.split(":")[0].split(" at load step")[0] if reason else "drawn in several pieces"
+def _failure(reason):
+    """What kind of failure a reason tells of; a structure that could be inflated and yet is not valid has none."""
+    if not reason:
+        return Failure.IN_PIECES
+    return next((kind for begin, kind in FAILURES.items() if reason.startswith(begin)), Failure.UNUSABLE)
 
 
 def _limit(limit, unit):

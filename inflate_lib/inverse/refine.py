@@ -3,8 +3,11 @@
 A structure is made of pixels, and one pixel of its cavity more or less changes its descriptors by a tenth of a percent
 or so. An inflation takes milliseconds, drawing a candidate ten times as long. So a near miss is worth some tries: a
 pixel at the border of the cavity is flipped, the structure labelled and inflated again, and the change kept if the
-largest error has become smaller. Which pixel to try first is what the adjoint says (:mod:`inflate_lib.mechanics.adjoint`).
+largest error has become smaller. Which pixel to try first is what the adjoint says
+(:mod:`inflate_lib.mechanics.adjoint`).
 """
+
+from enum import StrEnum
 
 import numpy as np
 from scipy import ndimage
@@ -23,13 +26,26 @@ ORDERS = ("sensitivity", "random")
 LESS = 1e-3  # relative decrease of the largest error that a change must bring
 
 
+class Rejection(StrEnum):
+    """Why a drawing is no candidate for a design."""
+
+    NO_STRUCTURE = "The drawing holds no structure."
+    NO_EQUILIBRIUM = "No equilibrium was found at one of the load steps."
+    CROSSING_WALLS = "The walls cross when the structure is inflated."
+    MAX_MATERIAL = "The wall takes more material than was allowed."
+    MIN_VOID = "The cavity is narrower than was demanded."
+    SYMMETRIC = "The structure is not its own mirror image."
+    KEEP_OUT = "The structure reaches into the region that it had to keep out of."
+    REPEATED = "The structure was drawn before."
+
+
 def attempt(image, constraints):
     """Label and inflate one image under constraints.
 
     Returns
     -------
-    reason : str
-        Why it is rejected; empty where it is not.
+    reason : Rejection or None
+        Why it is rejected; None where it is not.
     label : (28, 28) float or None
     result : Inflation or None
     """
@@ -37,24 +53,24 @@ def attempt(image, constraints):
         label = label_image(image)
         anywhere = Constraints(**{**constraints.as_dict(), "keep_out": None})
         if broken := anywhere.broken_by(label):
-            return f"break {broken}", label, None
+            return Rejection[broken.upper()], label, None
         result = inflate(label, time_limit=TIME_LIMIT[0])
     except ValueError:
-        return "are no structure", None, None
+        return Rejection.NO_STRUCTURE, None, None
     if not result.converged:
-        return "find no equilibrium", label, None
+        return Rejection.NO_EQUILIBRIUM, label, None
     if first_contact(result) is not None:
-        return "have walls that cross when inflated", label, None
+        return Rejection.CROSSING_WALLS, label, None
     if constraints.keep_out is not None:
         shift = free_place(label, result, constraints)
         if shift is None:
-            return "break keep_out", label, None
+            return Rejection.KEEP_OUT, label, None
         if shift:
             label = np.roll(label, shift, axis=1)
             result = inflate(label, time_limit=TIME_LIMIT[0])
             if not result.converged or constraints.broken_by(label) or constraints.broken_when_inflated(result):
-                return "break keep_out", label, None
-    return "", label, result
+                return Rejection.KEEP_OUT, label, None
+    return None, label, result
 
 
 def free_place(label, result, constraints):

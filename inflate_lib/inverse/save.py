@@ -111,8 +111,8 @@ def search_record(designs):
         "within_tolerance": designs.within,
         "refined": designs.refined,
         "candidates": designs.tried,
-        "rejected": dict(designs.rejected),
-        "stopped": designs.stopped,
+        "rejected": [_told(reason) | {"drawings": number} for reason, number in designs.rejected.most_common()],
+        "stopped": _told(designs.stopped),
         "seed": designs.seed,
         "model": designs.model,
         "sampling": designs.sampling,
@@ -122,6 +122,11 @@ def search_record(designs):
             **package_versions(),
         },
     }
+
+
+def _told(reason):
+    """A member of an enumeration of reasons: a name for programs, a sentence for people."""
+    return {"reason": reason.name.lower(), "sentence": reason.value}
 
 
 def outline_svg(label, size_mm=SIZE_MM):

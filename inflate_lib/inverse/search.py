@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 import pandas as pd
@@ -22,7 +23,7 @@ from inflate_lib.descriptors import JOINT, PARTS, PHYSICAL, Descriptors, describ
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.diffusion._storage import fingerprint
 from inflate_lib.inverse.constraints import Constraints, mirrored
-from inflate_lib.inverse.refine import attempt
+from inflate_lib.inverse.refine import Rejection, attempt
 from inflate_lib.inverse.refine import refine as refine_structure
 from inflate_lib.inverse.targets import Targets, as_targets, errors
 from inflate_lib.mechanics.inflation import Inflation
@@ -39,6 +40,14 @@ SURPLUS = 2  # so many times the designs asked for are found before the most dif
 MODELS = {JOINT: (), "axis": ("axis",), "box": ("height", "width"), "area": ("area",)}
 MODELS |= {"width": ("width",), "height": ("height",)}
 WEIGHTS = ("paper", "laptop", "ci")  # folders of data/pretrained, in the order in which they are looked into
+
+
+class Stop(StrEnum):
+    """Why a search ended."""
+
+    ENOUGH = "There were enough to choose from."
+    CANDIDATES = "As many candidates had been drawn as were allowed."
+    TIME = "The time that was allowed was up."
 
 
 @dataclass(frozen=True)
@@ -91,9 +100,9 @@ class Designs:
     sampling: dict
     tried: int = 0
     refined: int = 0  # misses that came within the tolerance by flipping pixels
-    rejected: Counter = field(default_factory=Counter)  # reason → candidates
+    rejected: Counter = field(default_factory=Counter)  # Rejection → drawings
     seconds: dict = field(default_factory=dict)  # generating, inflating, all
-    stopped: str = ""
+    stopped: Stop | None = None  # None while it goes on
 
     @property
     def within(self):
@@ -116,17 +125,19 @@ class Designs:
         """The account in a few lines."""
         good = sum(one.within for one in self.designs)
         lines = [
-            f"{good} of {self.asked} designs within {self.tolerance:.2g} of every target, chosen from {self.within}; "
-            f"{self.tried} candidates, {self.stopped}"
+            f"{good} of {self.asked} designs are within {self.tolerance:.2g} of every target, chosen from "
+            f"{self.within} among {self.tried} candidates. {self.stopped}"
         ]
         if good < len(self.designs):
-            lines.append(f"the other {len(self.designs) - good} are the nearest misses, and are marked so")
+            lines.append(f"The other {len(self.designs) - good} are the nearest misses, and are marked so.")
         if self.refined:
-            lines.append(f"{self.refined} of the {self.within} were near misses, refined pixel by pixel")
+            lines.append(f"{self.refined} of the {self.within} were near misses, refined pixel by pixel.")
         if self.rejected:
-            lines.append("rejected: " + ", ".join(f"{n} {reason}" for reason, n in self.rejected.most_common()))
+            lines.append("Drawings were rejected:")
+            lines += [f"{n:6d}  {reason}" for reason, n in self.rejected.most_common()]
         if self.designs:
-            lines.append(f"median of the largest errors {100 * np.median([one.error for one in self.designs]):.2f} %")
+            middle = np.median([one.error for one in self.designs])
+            lines.append(f"The median of the largest errors is {100 * middle:.2f} %.")
         times = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
         return "\n".join([*lines, times])
 
@@ -229,11 +240,11 @@ def design(
             nearest = f", the best misses by {100 * best[0].error:.2f} %" if best else ""
             say(f"{now - started:.0f} s: {found.within} within {tolerance:.2g} among {found.tried} candidates{nearest}")
         if found.within >= enough:
-            found.stopped = "enough to choose from"
+            found.stopped = Stop.ENOUGH
         elif found.tried >= max_candidates:
-            found.stopped = "which is as many as were allowed"
+            found.stopped = Stop.CANDIDATES
         elif now - started + longest > seconds:
-            found.stopped = f"then the time of {seconds:g} s was up"
+            found.stopped = Stop.TIME
     found.designs = choose(best, n, prefer)
     found.seconds = {**clock, "all": time.monotonic() - started}
     return found
@@ -325,7 +336,7 @@ def _verified(images, batch, found, seen, n_jobs):
     for (row, kind, _), (reason, label, result) in zip(drawings, attempts, strict=True):
         key = None if reason else _aligned(label).tobytes()
         if reason or key in seen:
-            found.rejected[reason or "the same as another"] += 1
+            found.rejected[reason or Rejection.REPEATED] += 1
             continue
         seen.add(key)
         designs.append(_measured(label, result, found, batch["first"] + row, batch | {"row": row, "drawing": kind}))

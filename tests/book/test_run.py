@@ -22,7 +22,7 @@ from inflate_lib.book._execution import NotebookFailed
 from inflate_lib.book.build import build_book, check_book
 from inflate_lib.book.page import recorded
 from inflate_lib.book.profiles import ProfileError
-from inflate_lib.book.run import RunError, plan
+from inflate_lib.book.run import RunError, Stale, plan
 from inflate_lib.cli import app
 from inflate_lib.cli.book import book
 from inflate_lib.structures import sources
@@ -131,7 +131,7 @@ def stale():
 def test_a_run_executes_and_says_what_it_did(finished):
     home, output = finished
     for name in ("01_first", "02_second"):
-        assert f"{name}: not executed yet" in output
+        assert f"{name}: {Stale.ABSENT}" in output
         assert f"{name}: done in" in output
         assert (home / "figures" / "runs" / "ci" / f"fig_{name}.png").is_file()
     assert "seconds" in output
@@ -176,26 +176,28 @@ def test_nothing_runs_again_while_nothing_changes(done):
 def test_a_book_is_refused_for_every_kind_of_staleness(done, monkeypatch):
     executed = done / "book" / "notebooks"
     assert stale() == ["", ""]
-    with pytest.raises(RunError, match=r"(?s)01_first: executed under profile ci.*02_second"):
+    with pytest.raises(RunError, match=r"(?s)01_first: It was executed under the profile ci\..*02_second"):
         check_book("laptop")
     (done / "figures" / "runs" / "ci" / "fig_01_first.svg").unlink()
-    assert stale() == ["missing: figures/runs/ci/fig_01_first.svg", ""]
+    assert stale() == [Stale.INCOMPLETE.format("figures/runs/ci/fig_01_first.svg"), ""]
     source = done / "notebooks" / "02_second.md"
     source.write_text(source.read_text() + "\nOne more word.\n")
-    assert stale()[1] == "changed since: notebook"
+    assert stale()[1] == Stale.CHANGED.format("notebook")
     (done / "notebooks" / "profiles" / "ci.yml").write_text("name: ci\nnotebooks: {02_second: {steps: 11}}\n")
-    assert stale()[1] == "changed since: notebook, parameters"
+    assert stale()[1] == Stale.CHANGED.format("notebook, parameters")
     monkeypatch.setattr(reproduce, "code_version", lambda *modules: "other")
-    assert stale()[1] == "changed since: notebook, parameters, library"
+    assert stale()[1] == Stale.CHANGED.format("notebook, parameters, library")
     (executed / "01_first.ipynb").write_text((executed / "01_first.ipynb").read_text().replace("kept", "edited"))
-    assert stale()[0].startswith("changed since: library")
+    assert stale()[0].startswith("What it depends on has changed: library")
     monkeypatch.undo()
     point_to(done, monkeypatch)
-    assert stale()[0] == "edited after it was executed"
+    assert stale()[0] == Stale.EDITED
     (executed / "02_second.ipynb").write_text("{")
-    assert stale()[1] == "not a notebook that this command made"
+    assert stale()[1] == Stale.FOREIGN
     (executed / "02_second.ipynb").unlink()
-    with pytest.raises(RunError, match=r"02_second: not executed yet(?s:.*)Run: inflate reproduce --profile ci"):
+    with pytest.raises(
+        RunError, match=r"02_second: It has not been executed yet(?s:.*)Run: inflate reproduce --profile ci"
+    ):
         build_book("ci")
     assert not (done / "book" / "_build" / "html").exists()
 
@@ -317,7 +319,7 @@ def test_other_data_are_used_only_where_they_are_asked_for(home, monkeypatch):
     assert run().count(": fresh") == 2
     monkeypatch.setenv("INFLATE_SOURCE", "mnist")
     reproduce._resolved.cache_clear()
-    assert "01_first: changed since: data source" in run()
+    assert f"01_first: {Stale.CHANGED.format('data source')}" in run()
 
 
 def test_a_profile_that_names_its_data_gets_no_others(home, monkeypatch):

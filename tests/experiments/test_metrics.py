@@ -11,8 +11,17 @@ from sklearn.metrics import r2_score
 
 from inflate_lib import paths
 from inflate_lib.alternatives.best_of import best_of, chances, selection, weighted_quantile
+from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.experiments.metrics import bootstrap, errors, hausdorff, misses, point_distances, r_squared
-from inflate_lib.experiments.tables import accuracy, failure_reasons, score, scores, side_by_side, with_interval
+from inflate_lib.experiments.tables import (
+    Failure,
+    accuracy,
+    failure_reasons,
+    score,
+    scores,
+    side_by_side,
+    with_interval,
+)
 from inflate_lib.experiments.variety import diversity, mean_pairwise, nearest, novelty, pairwise
 from inflate_lib.structures.augmentation import apply_variants, augment, mirror_axis
 from inflate_lib.structures.labels import PIXEL
@@ -187,15 +196,18 @@ def test_numbers_with_intervals():
 
 
 def test_reasons_are_counted_by_their_kind():
-    reason = [
-        "",
-        "image is blank: no pixel is brighter than 0.5 (brightest: 0.2)",
-        "no equilibrium found at load step 7 of 10 (pressure 0.007): an element turns inside out",
-        "no equilibrium found at load step 10 of 10 (pressure 0.01) within 400 factorisations",
-        "",
-    ]
-    found = failure_reasons([experiment([1.0] * 5, [1.0] * 5, [False] * 4 + [True], reason=reason)])
-    assert found.to_dict() == {"no equilibrium found": 2, "drawn in several pieces": 1, "image is blank": 1}
+    """The reasons are those that the simulation itself gives."""
+    dot, broad, two = (np.zeros((28, 28)) for _ in range(3))
+    dot[5, 5] = broad[:, :] = 1
+    two[4:20, 4:8] = two[4:20, 20:22] = 1
+    images = [np.zeros((28, 28)), dot, broad, two, np.full((28, 28), np.nan), two]
+    data = simulate_dataset(images, n_jobs=1, n_steps=1, progress_text=False)
+    weak = simulate_dataset([two], n_jobs=1, progress_text=False, time_limit=1e-9)
+    reason = [*data.reason.values, *weak.reason.values]
+    n = len(reason)
+    valid = [False] * (n - 2) + [True, False]
+    found = failure_reasons([experiment([1.0] * n, [1.0] * n, valid, reason=reason)])
+    assert found.to_dict() == dict.fromkeys(Failure, 1)
     assert failure_reasons([]).empty
 
 

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from inflate_lib import inflate, label_image
 from inflate_lib.inverse.constraints import Constraints, from_millimetres, is_symmetric, mirrored, pixels, wide_enough
-from inflate_lib.inverse.refine import attempt, free_place
+from inflate_lib.inverse.refine import Rejection, attempt, free_place
 from inflate_lib.mechanics.mesh import boundary_loops
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, WALL
 from inflate_lib.structures.sources import load_sevens
@@ -139,12 +139,12 @@ def test_a_structure_steps_aside_for_a_region(seven):
     shift = free_place(label, result, region)
     assert shift == min(2, FRAME - 1 - columns[-1]) == 2
     reason, moved, inflated = attempt(DIGITS[0] / 255, region)
-    assert reason == "" and np.array_equal(moved, np.roll(label, shift, axis=1))
+    assert reason is None and np.array_equal(moved, np.roll(label, shift, axis=1))
     assert np.allclose(inflated.displacement, result.displacement, atol=1e-9)
     assert inflated.deformed()[:, 0].min() > left + 1.5 * PIXEL
     nowhere = Constraints(keep_out=(-1, 0.5, 2, 0.6))
     assert free_place(label, result, nowhere) is None
-    assert attempt(DIGITS[0] / 255, nowhere)[0] == "break keep_out"
+    assert attempt(DIGITS[0] / 255, nowhere)[0] is Rejection.KEEP_OUT
 
 
 @pytest.mark.parametrize(

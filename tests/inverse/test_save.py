@@ -5,6 +5,7 @@ import json
 import os
 import resource
 import signal
+from collections import Counter
 from dataclasses import replace
 from itertools import count
 
@@ -20,8 +21,9 @@ from PIL import Image
 from inflate_lib import describe, inflate, label_image
 from inflate_lib.inverse import save
 from inflate_lib.inverse.constraints import Constraints
+from inflate_lib.inverse.refine import Rejection
 from inflate_lib.inverse.save import mould, opened_grid, outline_svg, part, save_designs, search_record, write_stl
-from inflate_lib.inverse.search import Design, Designs
+from inflate_lib.inverse.search import Design, Designs, Stop
 from inflate_lib.inverse.targets import Targets, errors
 from inflate_lib.io.pictures import read_images
 from inflate_lib.io.vtk import write_vtk
@@ -61,7 +63,21 @@ def designs():
         found.append(Design(label, result, shape, miss, number == 0, number, origin))
     model = {"descriptor": "box", "weights": "0123", "source": "digits"}
     constraints = Constraints(min_void=1 / 28)
-    return Designs(found, found[:1], targets, constraints, 0.01, 2, None, 7, model, {"sampler": "ddim"}, tried=9)
+    return Designs(
+        found,
+        found[:1],
+        targets,
+        constraints,
+        0.01,
+        2,
+        None,
+        7,
+        model,
+        {"sampler": "ddim"},
+        tried=9,
+        rejected=Counter({Rejection.NO_STRUCTURE: 2, Rejection.KEEP_OUT: 3}),
+        stopped=Stop.CANDIDATES,
+    )
 
 
 @pytest.mark.parametrize("label", LABELS)
@@ -161,6 +177,11 @@ def test_every_file_is_read_by_others(designs, tmp_path):
         assert record["origin"]["conditions"] == [0.9, None]
         assert record["search"]["model"]["weights"] == "0123" and record["search"]["versions"]["numpy"]
         assert record["search"]["constraints"] == {"min_void": 1 / 28}
+        assert record["search"]["stopped"]["reason"] == "candidates"
+        assert [entry["drawings"] for entry in record["search"]["rejected"]] == [3, 2]
+        assert record["search"]["rejected"][1] == {
+            "reason": "no_structure", "sentence": "The drawing holds no structure.", "drawings": 2
+        }  # fmt: skip
     assert json.loads((tmp_path / "out" / "designs.json").read_text()) == json.loads(json.dumps(search_record(designs)))
     assert os.listdir(tmp_path) == ["out"]
 

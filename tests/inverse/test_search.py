@@ -16,8 +16,8 @@ from inflate_lib.descriptors import PARTS
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.inverse import search as searching
 from inflate_lib.inverse.constraints import Constraints, is_symmetric, mirrored
-from inflate_lib.inverse.refine import attempt, refine, with_flipped
-from inflate_lib.inverse.search import MODELS, corrected, diverse, find_model
+from inflate_lib.inverse.refine import Rejection, attempt, refine, with_flipped
+from inflate_lib.inverse.search import MODELS, Stop, corrected, diverse, find_model
 from inflate_lib.inverse.targets import Targets, errors
 from inflate_lib.mechanics import stress
 from inflate_lib.plotting.designs import plot_designs
@@ -72,7 +72,7 @@ def test_designs_are_what_they_claim(search, data):
         assert one.errors["height"] == pytest.approx(abs(again.height / targets["height"] - 1), abs=1e-9)
         assert one.error == max(one.errors.values()) <= 0.05
     assert [one.error for one in found.designs] == sorted(one.error for one in found.designs)
-    assert f"3 of 3 designs within 0.05 of every target, chosen from {found.within}" in found.summary()
+    assert f"3 of 3 designs are within 0.05 of every target, chosen from {found.within}" in found.summary()
     table = found.table()
     assert table["error height (%)"].tolist() == [100 * one.errors["height"] for one in found.designs]
 
@@ -83,19 +83,20 @@ def test_every_candidate_is_accounted_for(search, data):
     found = search({"height": height}, 200, tolerance=0.02)
     crossing = int((data.contact_step > 0).sum())
     distinct = len({image.tobytes() for image in DIGITS[data.contact_step.values == 0]})
-    assert found.tried == len(DIGITS) and found.rejected["have walls that cross when inflated"] == crossing
+    assert found.tried == len(DIGITS) and found.rejected[Rejection.CROSSING_WALLS] == crossing
     kept = found.tried - sum(found.rejected.values())
     assert kept <= distinct
     hits = (abs(data.height / height - 1) <= 0.02) & (data.contact_step == 0)
-    assert found.within <= int(hits.sum()) and found.within >= int(hits.sum()) - found.rejected["the same as another"]
-    assert "as many as were allowed" in found.summary()
+    assert found.within <= int(hits.sum()) and found.within >= int(hits.sum()) - found.rejected[Rejection.REPEATED]
+    assert found.stopped is Stop.CANDIDATES and found.stopped in found.summary()
+    assert f"{crossing}  {Rejection.CROSSING_WALLS}" in found.summary()
 
 
 def test_misses_fill_up_and_are_marked(search, data):
     found = search({"height": float(data.height.max()) * 0.9999}, 5, tolerance=1e-3)
     good = [one.within for one in found.designs]
     assert len(good) == 5 and good == sorted(good, reverse=True) and sum(good) == found.within < 5
-    assert f"the other {5 - sum(good)} are the nearest misses" in found.summary()
+    assert f"The other {5 - sum(good)} are the nearest misses" in found.summary()
     misses = [one.error for one in found.designs if not one.within]
     assert misses == sorted(misses) and misses[0] > 1e-3
     fig = plot_designs(found)
@@ -110,9 +111,9 @@ def test_it_stops_when_there_is_enough_or_the_time_is_up(search, data, monkeypat
     monkeypatch.setattr(searching, "BATCH", 16)
     target = {"height": float(np.median(data.height))}
     found = search(target, 2, tolerance=0.2)
-    assert found.tried == 16 and found.stopped == "enough to choose from"
+    assert found.tried == 16 and found.stopped is Stop.ENOUGH
     found = search(target, 150, tolerance=0.001, seconds=1e-6)
-    assert found.tried == 16 and "the time of 1e-06 s was up" in found.summary()  # a batch is finished
+    assert found.tried == 16 and found.stopped is Stop.TIME  # a batch is finished
 
 
 def test_the_seed_decides(model, search, data, monkeypatch):
@@ -188,7 +189,7 @@ def test_constraints_hold_for_all_that_is_handed_out(search, data):
         assert all(not demand.broken_by(one.label) for one in found.designs)
         (name,) = demand.as_dict()
         if name != "symmetric":
-            assert found.rejected[f"break {name}"] > 0 or name == "keep_out"
+            assert found.rejected[Rejection[name.upper()]] > 0 or name == "keep_out"
 
 
 def _opened(label):
@@ -377,7 +378,7 @@ def test_the_command_designs(run, data, tmp_path):
     options = ["--tolerance", "0.05", "-n", "2", "--size-mm", "50", "--min-void-mm", "1.7"]
     code, out, err = run("--height", f"{height}", "--out", "designs", *options)
     assert code == 0 and not err
-    assert "2 of 2 designs within 0.05" in out and "candidates" in out and re.search(r"written in \d+\.\d s", out)
+    assert "2 of 2 designs are within 0.05" in out and "candidates" in out and re.search(r"written in \d+\.\d s", out)
     assert sorted(path.name for path in (tmp_path / "designs").iterdir()) == [
         "contact_sheet.png", "design_01", "design_02", "designs.csv", "designs.json",
     ]  # fmt: skip
