@@ -126,13 +126,6 @@ def test_the_table_of_contents_lists_every_notebook_once():
         assert f"notebooks/{name}" in read("book/index.md")
 
 
-@pytest.mark.parametrize("path", sorted(paths.NOTEBOOKS.glob("[0-9][0-9]_*.md")), ids=lambda path: path.stem)
-def test_notebook_headers_carry_no_versions(path):
-    header = yaml.safe_load(path.read_text(encoding="utf-8").split("---")[1])
-    assert header["jupytext"] == {"text_representation": {"extension": ".md", "format_name": "myst"}}
-    assert header["kernelspec"] == {"display_name": "Python 3", "language": "python", "name": "python3"}
-
-
 def test_no_tracked_text_knows_a_machine():
     listing = ["git", "-C", paths.ROOT, "ls-files", "--cached", "--others", "--exclude-standard"]
     done = subprocess.run(listing, capture_output=True, text=True, check=False)

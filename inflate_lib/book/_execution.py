@@ -29,6 +29,7 @@ from inflate_lib.book.profiles import declared_parameters
 
 logging.getLogger("papermill").setLevel(logging.CRITICAL)  # what it would say, NotebookFailed says
 _INJECTED = "injected-parameters"  # papermill's tag for the cell that it adds
+_KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}  # a source names its language only
 
 
 class NotebookFailed(RuntimeError):
@@ -120,6 +121,7 @@ def execute(
     given, running = folder / f"{name}.input.ipynb", folder / f"{name}.running.ipynb"
     manifest = folder / f"{name}.published.txt"
     notebook = jupytext.read(source)
+    notebook.metadata["kernelspec"] = _KERNEL
     with writing():
         folder.mkdir(parents=True, exist_ok=True)
         manifest.write_text("")

@@ -33,10 +33,9 @@ jupytext:
   text_representation:
     extension: .md
     format_name: myst
-kernelspec:
-  display_name: Python 3
-  language: python
-  name: python3
+language_info:
+  name: python
+  pygments_lexer: ipython3
 ---
 
 # Title
@@ -262,7 +261,7 @@ def test_a_raising_cell_stops_the_run_and_is_shown(home, monkeypatch):
 
 def test_a_dying_kernel_is_told_from_a_raising_cell(home):
     add(home, "01_first", "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)")
-    with pytest.raises(NotebookFailed, match=r"01_first\.md, code cell 2, line 22: the kernel died"):
+    with pytest.raises(NotebookFailed, match=r"01_first\.md, code cell 2, line 21: the kernel died"):
         run(only=["1"])
     assert not list((home / "book" / "notebooks").glob("*.ipynb"))
 
