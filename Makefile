@@ -8,10 +8,10 @@ PIP     := $(BIN)/python -m pip --disable-pip-version-check
 NEEDS   := pyproject.toml constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help install book pdf reproduce figures test lab lint clean
+.PHONY: help install install-dev book pdf reproduce figures test lab lint clean
 
 help: ## show the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 	@echo "  options: PROFILE=ci|laptop|paper  JOBS=2  PYTHON=python3 (3.11 or 3.12)"
 
 book: .venv/installed ## execute what is not fresh under PROFILE, build book/_build/html
@@ -39,6 +39,8 @@ lab: .venv/installed-lab ## open JupyterLab on the notebooks
 	$(BIN)/jupyter lab notebooks
 
 install: .venv/installed ## create .venv with the pinned packages
+
+install-dev: .venv/installed-dev ## the same, with what the tests and make lint need
 
 clean: ## remove the book, the executed notebooks and their figures (the cache in data/cache stays)
 	rm -rf book/_build book/notebooks figures/runs

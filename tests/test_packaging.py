@@ -7,6 +7,7 @@ import tomllib
 import pytest
 import yaml
 
+import inflate_lib
 from inflate_lib import paths
 from inflate_lib.book.run import find_notebooks
 
@@ -91,6 +92,14 @@ def test_python_versions_agree_everywhere(project):
     assert "(3, 11), (3, 12)" in read("Makefile")
     workflow = yaml.safe_load(read(".github/workflows/book.yml"))
     assert workflow["jobs"]["tests"]["strategy"]["matrix"]["python"] == ["3.11", "3.12"]
+
+
+def test_versions_agree_everywhere(project, pins):
+    cited = yaml.safe_load(read("CITATION.cff"))["version"]
+    assert cited == project["version"] == inflate_lib.__version__
+    ruff, *others = yaml.safe_load(read(".pre-commit-config.yaml"))["repos"]
+    assert ruff["rev"] == f"v{pins['ruff']}"
+    assert not others
 
 
 def test_the_readme_names_only_commands_that_exist():
