@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflate_lib import load_model, paths, simulated_sevens
-from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, length
+from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, length
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.reach import load_reach, reach_of, save_reach
@@ -123,6 +123,15 @@ def test_the_table_of_reach_comes_back(reach, tmp_path):
         np.testing.assert_allclose(back[name], reach[name], rtol=1e-6)
     with pytest.raises(ValueError, match=r"reach\.npz cannot be read"):
         load_reach(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("name", [*DESCRIPTORS, JOINT])
+def test_committed_weights_are_loaded_with_what_belongs_to_them(name):
+    model = load_model(name)
+    assert model.name == name and model.sampling["sampler"] == "ddim"
+    combinations = {"height+area", "width+area", "height+width+area"}
+    assert set(model.calibrations) == ({*DESCRIPTORS, *PHYSICAL, *combinations} if name == JOINT else {name})
+    assert model.reach.sizes["structure"] == 6265
 
 
 def test_weights_that_are_not_there_are_named():
