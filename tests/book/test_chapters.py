@@ -1,0 +1,40 @@
+"""What the chapters and pages say about the library is so: the names that they mention are there."""
+
+import re
+from pkgutil import resolve_name
+
+import jupytext
+import pytest
+
+from inflate_lib import paths
+from inflate_lib.book.run import find_notebooks
+
+CHAPTERS = find_notebooks()
+PAGES = sorted(paths.BOOK.glob("*.md"))
+NAME = re.compile(r"\binflate_lib(?:\.\w+)+")
+WALK = re.compile(r"This chapter walks through `([\w.]+)`: `([\w.]+(?: → [\w.]+)*)`\.")
+
+
+def missing(names):
+    """Those of `names` that cannot be imported."""
+    absent = []
+    for name in sorted(names):
+        try:
+            resolve_name(name)
+        except (ImportError, AttributeError):
+            absent.append(name)
+    return absent
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
+def test_a_chapter_opens_with_the_part_of_the_library_that_it_walks_through(chapter):
+    title, _, line, *_ = jupytext.read(chapter).cells[0].source.split("\n\n")
+    walk = WALK.fullmatch(line)
+    assert title.startswith("# ") and walk, f"below the first paragraph stands: {line}"
+    place, steps = walk.groups()
+    assert missing(f"{place}.{step}" for step in steps.split(" → ")) == []
+
+
+@pytest.mark.parametrize("page", [*CHAPTERS, *PAGES], ids=lambda path: path.stem)
+def test_names_of_the_library_in_the_book_exist(page):
+    assert missing(set(NAME.findall(page.read_text(encoding="utf-8")))) == []
