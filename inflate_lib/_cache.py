@@ -10,9 +10,7 @@ import dataclasses
 import errno
 import hashlib
 import importlib.util
-import io
 import json
-import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -26,11 +24,9 @@ from filelock import FileLock, Timeout
 
 from inflate_lib import paths
 from inflate_lib._files import FULL, draft
+from inflate_lib._progress import Aside
 
 _NO_ROOM = FULL | {errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
-MARK = "\x01"  # begins a line that the runner shows while a notebook runs, and does not keep in it
-RUNNER = "INFLATE_MANIFEST"  # set by the runner, to the file in which it wants to be told what was published
-RETRAIN = "INFLATE_RETRAIN"  # set by --retrain: models are trained, though data/pretrained has weights that fit
 _verified: set[tuple[str, int, int]] = set()  # files whose digest this process has checked already
 
 
@@ -131,7 +127,7 @@ def _make(result: Path, key_text: str, make: Callable[[Path, Path], None], scrat
     scratch.mkdir(exist_ok=True)
     note = _sidecar(result)
     with draft(result) as target:
-        with redirect_stdout(_Aside(sys.stdout)):
+        with redirect_stdout(Aside(sys.stdout)):
             make(target, scratch)
         if not target.is_file():
             raise CacheError(f"the step that makes {result} wrote no file")
@@ -170,29 +166,12 @@ def _locked(path: Path, what: str) -> Iterator[None]:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        print(f"another process is computing {what}; waiting for it", file=_Aside(sys.stdout), flush=True)
+        print(f"another process is computing {what}; waiting for it", file=Aside(sys.stdout), flush=True)
         lock.acquire()
     try:
         yield
     finally:
         lock.release()
-
-
-class _Aside(io.TextIOBase):
-    """Marks what a step prints under the runner: progress would come and go in the book with the state of the cache."""
-
-    def __init__(self, stream: io.TextIOBase):
-        self.stream, self.at_start = stream, True
-        self.mark = MARK if RUNNER in os.environ else ""
-
-    def write(self, text: str) -> int:
-        for line in text.splitlines(keepends=True):
-            self.stream.write(self.mark + line if self.at_start else line)
-            self.at_start = line.endswith(("\n", "\r"))
-        return len(text)
-
-    def flush(self) -> None:
-        self.stream.flush()
 
 
 def _concerns_cache(error: OSError) -> bool:

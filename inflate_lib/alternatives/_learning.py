@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from inflate_lib._progress import Progress
 from inflate_lib.diffusion import _storage
 from inflate_lib.diffusion.training import random_generator
 
@@ -69,8 +70,7 @@ def fit(
         tensors, content = _storage.read(path, "checkpoint")
         _storage.fill(_state(net, optimiser), tensors, path)
         step, history, seconds = (content[name] for name in ("step", "history", "seconds"))
-    began = last = time.monotonic()
-    started, first = began - seconds, step
+    started, report = time.monotonic() - seconds, Progress(progress, steps, "steps", step)
     every = max(1, math.ceil(steps / CHECKPOINTS))
     while step < steps:
         rate = min(1.0, (step + 1) / WARMUP) * 0.5 * (1 + math.cos(math.pi * step / steps))
@@ -91,10 +91,8 @@ def fit(
             if path is not None:
                 content = {"step": step, "history": history, "seconds": seconds}
                 _storage.write(path, "checkpoint", _state(net, optimiser), content)
-        if time.monotonic() - last > 5:
-            last = time.monotonic()
-            left = (last - began) / (step - first) * (steps - step)
-            print(f"{progress}: step {step} of {steps}, loss {value.item():.4g}, {left:.0f} s left", flush=True)
+        if report.due():
+            report.tell_time(step, f"loss {value.item():.4g}")
     return history, seconds
 
 

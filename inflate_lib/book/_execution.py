@@ -23,8 +23,9 @@ with warnings.catch_warnings():  # papermill's optional cloud parts warn on impo
     import papermill
 
 from inflate_lib import paths
-from inflate_lib._cache import MARK, RUNNER, writing
+from inflate_lib._cache import writing
 from inflate_lib._files import draft
+from inflate_lib._progress import MARK, RUNNER, Display
 from inflate_lib.book.profiles import declared_parameters
 
 logging.getLogger("papermill").setLevel(logging.CRITICAL)  # what it would say, NotebookFailed says
@@ -90,20 +91,12 @@ class Kernels:
         self.stop()
 
 
-class Listener:
-    """Told how a notebook gets on; the default is silent."""
-
-    def started(self, notebook: str, cells: int) -> None: ...
-    def cell(self, notebook: str, number: int) -> None: ...
-    def text(self, notebook: str, text: str) -> None: ...
-
-
 def execute(
     source: Path,
     output: Path,
     parameters: Mapping[str, Any],
     kernels: Kernels,
-    listener: Listener,
+    display: Display,
     finish: Callable[[nbformat.NotebookNode, Path], None],
 ) -> None:
     """Run the MyST notebook `source` under `parameters` and put the result at `output`.
@@ -126,8 +119,8 @@ def execute(
         folder.mkdir(parents=True, exist_ok=True)
         manifest.write_text("")
         nbformat.write(notebook, given)
-    progress = _Progress(name, listener)
-    listener.started(name, sum(cell.cell_type == "code" for cell in notebook.cells))
+    progress = _Progress(name, display)
+    display.started(name, sum(cell.cell_type == "code" for cell in notebook.cells))
     try:
         executed = papermill.execute_notebook(
             given,
@@ -162,18 +155,18 @@ def execute(
 class _Progress:
     """Follows papermill through the cells; also the file that it writes the cells' printed text to."""
 
-    def __init__(self, notebook: str, listener: Listener):
-        self.notebook, self.listener = notebook, listener
+    def __init__(self, notebook: str, display: Display):
+        self.notebook, self.display = notebook, display
         self.number, self.source = 0, ""
 
     def cell_started(self, cell: nbformat.NotebookNode, cell_index: int) -> None:
         self.source = cell.source
         if cell.cell_type == "code" and _INJECTED not in cell.metadata.get("tags", []):
             self.number += 1
-            self.listener.cell(self.notebook, self.number)
+            self.display.cell(self.notebook, self.number)
 
     def write(self, text: str) -> None:
-        self.listener.text(self.notebook, text.replace(MARK, ""))
+        self.display.text(self.notebook, text.replace(MARK, ""))
 
     def flush(self) -> None: ...
 

@@ -25,8 +25,9 @@ from IPython.display import Image, publish_display_data
 from matplotlib.figure import Figure
 
 from inflate_lib import paths
-from inflate_lib._cache import RUNNER, digest
+from inflate_lib._cache import digest
 from inflate_lib._files import draft
+from inflate_lib._progress import RUNNER
 from inflate_lib._provenance import code_state, package_versions
 from inflate_lib.book.profiles import declared_parameters
 

@@ -25,11 +25,12 @@ from rich.console import Console
 from rich.table import Table
 
 from inflate_lib import paths
-from inflate_lib._cache import RETRAIN, code_version, digest
+from inflate_lib._cache import code_version, digest
+from inflate_lib._progress import Bars, Display, Lines
 from inflate_lib._provenance import package_versions
-from inflate_lib.book._display import Bars, Lines
-from inflate_lib.book._execution import Kernels, Listener, execute
+from inflate_lib.book._execution import Kernels, execute
 from inflate_lib.book.profiles import Profile, check_profile, load_profile
+from inflate_lib.models import RETRAIN
 from inflate_lib.structures.sources import CHOSEN, resolve_source
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
@@ -173,8 +174,7 @@ def _shared_fingerprint() -> dict[str, Any]:
     """What every notebook may depend on: the library (not this runner), the reference numbers, weights, versions."""
     library = Path(__file__).parent.parent
     runner = {
-        library / "book" / f"{name}.py"
-        for name in ("run", "build", "edition", "pdf", "sphinx_ext", "_execution", "_display")
+        library / "book" / f"{name}.py" for name in ("run", "build", "edition", "pdf", "sphinx_ext", "_execution")
     }
     modules = sorted(p for p in library.rglob("*.py") if p not in runner and p.parent != library / "cli")
     data = sorted(p for folder in (paths.REFERENCE, paths.PRETRAINED) for p in folder.rglob("*") if p.is_file())
@@ -243,7 +243,7 @@ def _run(todo: list[Job], jobs: int, console: Console) -> dict[str, float]:
     return seconds
 
 
-def _timed(job: Job, kernels: Kernels, display: Listener) -> tuple[str, float]:
+def _timed(job: Job, kernels: Kernels, display: Display) -> tuple[str, float]:
     start = time.monotonic()
     execute(job.source, job.executed, job.parameters, kernels, display, finish=functools.partial(_stamp, job))
     return job.name, time.monotonic() - start

@@ -36,7 +36,7 @@ def reproduce(
 
 def tell_notebooks(retrain: bool, source: str) -> None:
     """Hand these options to the notebooks, which run in processes of their own."""
-    from inflate_lib._cache import RETRAIN
+    from inflate_lib.models import RETRAIN
     from inflate_lib.structures.sources import CHOSEN, SOURCES
 
     if source not in SOURCES:

@@ -1,40 +1,10 @@
-"""What a training run tells while it runs: lines of progress, a CSV file, TensorBoard."""
+"""What a training run leaves to be looked at: a CSV file, TensorBoard."""
 
-import time
 from pathlib import Path
 
 from inflate_lib._files import naming
 
 COLUMNS = ("step", "loss", "simple", "vlb", "seconds")
-
-
-class Progress:
-    """Prints one plain line every few seconds: step, loss, images per second, time left.
-
-    ``progress`` is False for silence, or a word that begins each line. ``run`` is the training run.
-    """
-
-    def __init__(self, progress: bool | str, run, seconds: float = 5):
-        self.on, self.label = progress is not False, progress if isinstance(progress, str) else "training"
-        self.run, self.seconds = run, seconds
-        self.started = self.printed = time.monotonic()
-        self.first = run.step
-
-    def __call__(self, done: bool) -> None:
-        now = time.monotonic()
-        if not self.on or (now - self.printed < self.seconds and not done):
-            return
-        self.printed = now
-        rate = (self.run.step - self.first) / max(now - self.started, 1e-9)
-        left = (self.run.total - self.run.step) / rate
-        losses = self.run.history["loss"]
-        loss = f"{losses[-1]:.4f}" if losses else "–"
-        state = f"{now - self.started:.0f} s" if done else f"{left // 60:.0f} min {left % 60:02.0f} s left"
-        print(
-            f"{self.label}: step {self.run.step}/{self.run.total}  loss {loss}  "
-            f"{rate * self.run.config.batch_size:.0f} images/s  {state}",
-            flush=True,
-        )
 
 
 class Log:

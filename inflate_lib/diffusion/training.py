@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from inflate_lib._progress import Progress
 from inflate_lib.diffusion import _ranks, _storage, process
-from inflate_lib.diffusion._logs import Log, Progress
+from inflate_lib.diffusion._logs import Log
 from inflate_lib.diffusion.config import TrainingConfig
 from inflate_lib.diffusion.model import TrainedModel
 from inflate_lib.diffusion.schedule import at, cosine_schedule
@@ -90,7 +91,9 @@ def train(
     try:
         run = _Run(images, conditions, config, folder)
         first = _ranks.rank() == 0
-        run.train(Progress(progress if first else False, run), Log(Path(log), run.step) if log and first else None)
+        what = progress if isinstance(progress, str) else "training"
+        report = Progress(what, run.total, "steps", run.step) if first and progress is not False else None
+        run.train(report, Log(Path(log), run.step) if log and first else None)
         return run.model()
     finally:
         torch.set_num_threads(threads_before)
@@ -199,7 +202,7 @@ class _Run:
             tensors |= {f"adam.{name}.{key}": value for key, value in self.optimiser.state[p].items()}
         return tensors
 
-    def train(self, report: Progress, log: Log | None) -> None:
+    def train(self, report: Progress | None, log: Log | None) -> None:
         order, epoch, started = None, None, time.monotonic() - self.seconds
         while self.step < self.total:
             if epoch != self.step // self.per_epoch:
@@ -217,7 +220,9 @@ class _Run:
                 self.per_step.append((self.seconds - before) / steps)
                 if log is not None:
                     log.add(**{name: values[-1] for name, values in self.history.items()}, seconds=self.seconds)
-            report(done)
+            if report and (done or report.due()):
+                loss = f"loss {self.history['loss'][-1]:.4f}" if self.history["loss"] else ""
+                report.tell_time(self.step, loss, f"{report.rate(self.step) * self.config.batch_size:.0f} images/s")
             if checkpoint and self.path is not None and _ranks.rank() == 0:
                 self.save()
 

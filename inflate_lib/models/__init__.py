@@ -2,6 +2,8 @@
 
 from inflate_lib._lazy import attach
 
+RETRAIN = "INFLATE_RETRAIN"  # set by --retrain: models are trained, though data/pretrained has weights that fit
+
 __getattr__, __dir__, __all__ = attach(
     __name__,
     {

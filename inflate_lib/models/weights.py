@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from inflate_lib import paths
-from inflate_lib._cache import RETRAIN
 from inflate_lib.datasets.pairs import _about, _mean
 from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, VARIABLES, joint_conditions, length, name_of, parts_of
 from inflate_lib.diffusion import TrainedModel, generate
+from inflate_lib.models import RETRAIN
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.reach import check_reach, load_reach
 from inflate_lib.models.train import train_models, training_config

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from inflate_lib import paths
-from inflate_lib.book._execution import Kernels, Listener, execute
+from inflate_lib._progress import Display
+from inflate_lib.book._execution import Kernels, execute
 from inflate_lib.book.page import recorded
 from inflate_lib.book.profiles import check_profile, load_profile
 from inflate_lib.book.run import find_notebooks
@@ -68,7 +69,7 @@ def executed(tmp_path_factory):
 
     def run(source):
         output = home / "executed" / source.with_suffix(".ipynb").name
-        execute(source, output, profile.parameters(source), kernels, Listener(), keep)
+        execute(source, output, profile.parameters(source), kernels, Display(), keep)
 
     def keep(notebook, manifest):
         pass

@@ -345,8 +345,8 @@ def test_history_and_progress(capsys):
     simple, vlb, total = (np.array(history[name]) for name in ("simple", "vlb", "loss"))
     np.testing.assert_allclose(total, simple + 0.001 * vlb, rtol=1e-5)  # Eq. 11
     lines = capsys.readouterr().out.splitlines()
-    assert all(line.startswith("box: step ") and "images/s" in line for line in lines)  # how many depends on the speed
-    assert lines[-1].startswith("box: step 20/20  loss ")
+    assert all(line.startswith("box: ") and "images/s" in line for line in lines)  # how many depends on the speed
+    assert lines[-1].startswith("box: 20 of 20 steps (100 %), loss ")
 
 
 def test_epochs_count_batches():

@@ -14,7 +14,6 @@ import xarray as xr
 import yaml
 
 from inflate_lib import paths
-from inflate_lib._cache import RETRAIN
 from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.pairs import training_pairs
 from inflate_lib.datasets.simulate import simulated_sevens
@@ -22,7 +21,7 @@ from inflate_lib.datasets.split import held_out
 from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, descriptor_matrix, joint_conditions
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.training import simple_loss
-from inflate_lib.models import train, weights
+from inflate_lib.models import RETRAIN, train, weights
 from inflate_lib.models.train import train_models, training_config, training_cost
 from inflate_lib.models.weights import committed_weights, trained_models
 from inflate_lib.structures.augmentation import apply_variants, augment
