@@ -113,7 +113,7 @@ def plan(profile_name: str, only: Sequence[str] = ()) -> list[Job]:
     notebooks = find_notebooks()
     profile = load_profile(profile_name)
     check_profile(profile, notebooks)
-    chosen = [match for number in only for match in [_match(number, notebooks)]] if only else notebooks
+    chosen = [match for name in only for match in [_match(name, notebooks)]] if only else notebooks
     shared = _shared_fingerprint()
     return [_job(profile, notebook, shared) for notebook in sorted(set(chosen))]
 
@@ -211,11 +211,12 @@ def _check_source(work: list[Job]) -> None:
             )
 
 
-def _match(number: str, notebooks: list[Path]) -> Path:
-    """The notebook that ``04``, ``4`` or ``04_inflation`` means."""
-    found = [n for n in notebooks if n.stem == number or n.stem.split("_")[0] == number.zfill(2)]
+def _match(name: str, notebooks: list[Path]) -> Path:
+    """The notebook that ``inflation``, ``04_inflation``, ``04`` or ``4`` means."""
+    split = {notebook: notebook.stem.partition("_") for notebook in notebooks}
+    found = [n for n, (number, _, title) in split.items() if name in (n.stem, title) or name.zfill(2) == number]
     if len(found) != 1:
-        raise RunError(f"--only {number}: there is no such notebook; there are: {', '.join(n.stem for n in notebooks)}")
+        raise RunError(f"--only {name}: there is no such notebook; there are: {', '.join(n.stem for n in notebooks)}")
     return found[0]
 
 

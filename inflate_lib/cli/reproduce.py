@@ -12,7 +12,7 @@ from inflate_lib.paths import need_checkout
 @app.command()
 def reproduce(
     profile: ProfileName = "ci",
-    only: Annotated[list[str] | None, typer.Option(help="One notebook, by number or name; may be repeated.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="One notebook, by name or number; may be repeated.")] = None,
     jobs: Jobs = 2,
     force: Force = False,
     retrain: Retrain = False,
