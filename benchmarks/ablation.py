@@ -17,7 +17,7 @@ import torch
 from joblib import Parallel, delayed
 from stored import store
 
-from inflate_lib._cache import code_version
+from inflate_lib._cache import step_version
 from inflate_lib.alternatives import ablation
 from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.pairs import training_pairs
@@ -112,7 +112,7 @@ def main():
         training=TrainingConfig.from_dict(training).recipe(),
         sampling=common["sampling"],
         n_augmented=common["n_augmented"],
-        learning_code=code_version("inflate_lib.diffusion", "inflate_lib.experiments.run"),
+        learning_code=step_version("experiment"),
     )
 
 

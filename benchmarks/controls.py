@@ -18,7 +18,7 @@ import torch
 from scipy.stats import spearmanr
 from stored import store
 
-from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._cache import cached, code_version, digest, step_version
 from inflate_lib.alternatives.steering import run_steered, steer
 from inflate_lib.alternatives.surrogate import train_surrogate
 from inflate_lib.book.profiles import load_profile
@@ -27,7 +27,7 @@ from inflate_lib.descriptors import describe, descriptor_matrix
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.experiments.calibrate import calibrate
 from inflate_lib.experiments.metrics import bootstrap, misses, r_squared
-from inflate_lib.experiments.run import code, held_out_targets, model_digest, run_experiment
+from inflate_lib.experiments.run import held_out_targets, model_digest, run_experiment
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.refine import attempt, border, refine, with_flipped
 from inflate_lib.inverse.targets import Targets
@@ -196,7 +196,10 @@ class Study:
         return json.loads(cached("flips", key, make, ".json").read_text())
 
     def code(self):
-        return [code(), code_version("inflate_lib.inverse.refine", "inflate_lib.mechanics.adjoint")]
+        return [
+            step_version("alternative"),
+            code_version("inflate_lib.inverse.refine", "inflate_lib.mechanics.adjoint"),
+        ]
 
     def add(self, control, effort, achieved, seconds):
         """One row, from what was achieved for each target (NaN: nothing valid)."""

@@ -20,7 +20,7 @@ import pandas as pd
 import xarray as xr
 from stored import store
 
-from inflate_lib._cache import cached, digest
+from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives.ablation import evaluate_variant
 from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.simulate import simulated_sevens
@@ -28,7 +28,6 @@ from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, descriptor_matrix
 from inflate_lib.diffusion import TrainedModel, generate
-from inflate_lib.experiments import run
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.experiments.run import held_out_targets, judge, model_digest
 from inflate_lib.inverse.search import MODELS
@@ -140,7 +139,7 @@ class Study:
         for start in range(0, len(told), PIECE):
             piece = told[start : start + PIECE]
             key = {"model": model_digest(model), "told": digest(piece), "sampling": sampling, "seed": seed}
-            key |= {"start": start, "code": run.code()}
+            key |= {"start": start, "code": step_version("experiment")}
             pieces.append(load_dataset(cached("joint", key, make, ".nc")))
         return xr.concat(pieces, "structure", data_vars="minimal", combine_attrs="drop_conflicts")
 

@@ -8,6 +8,7 @@ sees a half-written file, and a damaged one is made again.
 import ast
 import dataclasses
 import errno
+import functools
 import hashlib
 import importlib.util
 import json
@@ -26,6 +27,16 @@ from inflate_lib import paths
 from inflate_lib._files import FULL, draft
 from inflate_lib._progress import Aside
 
+#: What each expensive step runs through: the step that it builds on, and packages of its own. Imports run in the same
+#: order and never upwards (`make lint` checks it), so that no step can run through a package that its key leaves out.
+STEPS = {
+    "dataset": ("structures", "mechanics", "descriptors", "datasets"),
+    "model": ("dataset", "diffusion", "models"),
+    "experiment": ("model", "experiments"),
+    "alternative": ("experiment", "alternatives"),
+    "notebook": ("alternative", "plotting", "io", "inverse", "book.profiles", "book.page", "book.explorer"),
+}
+_SPEAKERS = {"print", "warn", "track", "Progress", "tell", "tell_time"}  # whose text is not a result
 _NO_ROOM = FULL | {errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
 _verified: set[tuple[str, int, int]] = set()  # files whose digest this process has checked already
 
@@ -42,7 +53,7 @@ def cached(kind: str, key: Mapping, make: Callable[[Path, Path], None], suffix: 
     kind
         What is stored, as a folder name: ``"dataset"``, ``"model"``.
     key
-        Everything that the result depends on: parameters, :func:`digest` of inputs, :func:`code_version` of the code.
+        Everything that the result depends on: parameters, :func:`digest` of inputs, :func:`step_version` of the code.
         Values are numbers, strings, booleans, None, and lists, mappings or dataclasses of those.
     make
         ``make(target, scratch)`` writes the file `target` (a temporary name, moved into place on success). `scratch`
@@ -109,16 +120,25 @@ def digest(*things: Any) -> str:
     return total.hexdigest()[:32]
 
 
-def code_version(*modules: ModuleType | str | Path) -> str:
-    """Hash of the code of modules (or their names, or source files), without comments, docstrings and layout.
+@functools.cache
+def step_version(step: str) -> str:
+    """:func:`code_version` of all that a step runs through, by its name in `STEPS`: a part of the step's key."""
+    parts = (step_version(part) if part in STEPS else code_version(f"inflate_lib.{part}") for part in STEPS[step])
+    return digest(*parts)[:16]
 
-    A package counts with all it contains. Put the hash into a key, and a change of the code makes the result again
-    while a better comment does not.
+
+def code_version(*modules: ModuleType | str | Path) -> str:
+    """Hash of the code of modules (or their names, or source files), without what only speaks.
+
+    A package counts with all it contains. Comments, docstrings and layout do not count, nor does the text that is
+    printed, warned of or raised: a change of the code makes a result again, a better sentence does not. The errors of
+    what a data set runs through are the exception: it keeps their text, as the reason why a structure has no result.
     """
     total = hashlib.sha256()
     for module in modules:
         for source in _sources(module):
-            total.update(_bare_code(source.read_text(encoding="utf-8")).encode())
+            kept = not {source.parent.name, source.stem}.isdisjoint(STEPS["dataset"])
+            total.update(_bare_code(source.read_text(encoding="utf-8"), errors=kept).encode())
     return total.hexdigest()[:16]
 
 
@@ -206,10 +226,22 @@ def _sources(module: ModuleType | str | Path) -> list[Path]:
     return sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]
 
 
-def _bare_code(source: str) -> str:
+def _bare_code(source: str, errors: bool) -> str:
+    """The code without docstrings and messages; with the text of `errors`, or without."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
         documented = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
         if documented and ast.get_docstring(node, clean=False) is not None:
             node.body = node.body[1:] or [ast.Pass()]
+        elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and not errors:
+            node.exc.args = []
+        elif isinstance(node, ast.Call) and _speaks(node):
+            node.args = [argument for argument in node.args if not isinstance(argument, ast.Constant | ast.JoinedStr)]
     return ast.unparse(tree)
+
+
+def _speaks(call: ast.Call) -> bool:
+    """Whether a call only tells somebody something; what is printed to a file may be a result."""
+    to_file = any(keyword.arg == "file" for keyword in call.keywords)
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    return name in _SPEAKERS and not to_file

@@ -3,17 +3,20 @@
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import inflate_lib
 from inflate_lib import paths
-from inflate_lib._cache import CacheError, cached, code_version, digest
+from inflate_lib._cache import STEPS, CacheError, cached, code_version, digest
 
 
 @pytest.fixture(autouse=True)
@@ -203,3 +206,67 @@ def test_code_version_sees_code_and_not_comments(tmp_path):
     assert code_version("inflate_lib._cache") == code_version(sys.modules["inflate_lib._cache"])
     with pytest.raises(ValueError, match="no source"):
         code_version("inflate_lib.absent")
+
+
+def test_code_version_does_not_hear_what_is_said(tmp_path):
+    def version(text, name="module.py"):
+        path = tmp_path / name
+        path.write_text(text)
+        return code_version(path)
+
+    says = "def f(x):\n    print(f'x is {x}')\n    warnings.warn('large')\n    raise RuntimeError('no')\n"
+    plain = version(says)
+    for word, other in (("x is", "here is"), ("large", "too large"), ("no'", "not this'")):
+        assert version(says.replace(word, other)) == plain
+    assert version(says.replace("RuntimeError", "ValueError")) != plain
+    assert version("def f(x):\n    print('1', file=x)\n") != version("def f(x):\n    print('2', file=x)\n")
+    recorded = version(says, "descriptors.py")  # a data set keeps the words of its errors
+    assert version(says.replace("no'", "not this'"), "descriptors.py") != recorded
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """The library in a folder of its own, to change it there, and the versions of its steps before a change."""
+    folder = tmp_path_factory.mktemp("copy")
+    shutil.copytree(
+        Path(inflate_lib.__file__).parent, folder / "inflate_lib", ignore=shutil.ignore_patterns("*pycache*")
+    )
+    return folder, versions(folder)
+
+
+def versions(folder):
+    """The version of each step, of the library in a folder."""
+    code = "from inflate_lib._cache import STEPS, step_version; print(*map(step_version, STEPS))"
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    said = subprocess.check_output([sys.executable, "-c", code], env=environment, cwd=folder, text=True)
+    return dict(zip(STEPS, said.split(), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("module", "before", "after", "first"),
+    [
+        ("mechanics/material.py", "0.1644", "0.1645", "dataset"),
+        ("datasets/split.py", "% 10 == 9\n", "% 10 == 8\n", "dataset"),
+        ("diffusion/schedule.py", "0.008", "0.009", "model"),
+        ("models/train.py", "seed=0", "seed=1", "model"),
+        ("experiments/run.py", "WHOLE = 0.9", "WHOLE = 0.8", "experiment"),
+        ("alternatives/autoencoder.py", "LATENT = 4", "LATENT = 5", "alternative"),
+        ("plotting/style.py", "17.0", "18.0", "notebook"),
+        ("book/page.py", "dpi: int = 200", "dpi: int = 100", "notebook"),
+        ("diffusion/_logs.py", "no TensorBoard logs", "TensorBoard keeps no logs", None),
+        ("mechanics/inflation.py", '"""', '"""In other words: ', None),
+        ("book/pdf.py", "1800", "3600", None),
+        ("cli/design.py", "max=1000", "max=2000", None),
+    ],
+)
+def test_a_change_makes_stale_what_runs_through_it_and_no_more(copy, module, before, after, first):
+    folder, unchanged = copy
+    steps, path = list(STEPS), folder / "inflate_lib" / module
+    text = path.read_text(encoding="utf-8")
+    assert before in text
+    path.write_text(text.replace(before, after, 1), encoding="utf-8")
+    try:
+        stale = [step for step, version in versions(folder).items() if version != unchanged[step]]
+    finally:
+        path.write_text(text, encoding="utf-8")
+    assert stale == (steps[steps.index(first) :] if first else [])

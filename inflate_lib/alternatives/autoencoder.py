@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives import _learning
 from inflate_lib.datasets.pairs import training_pairs
 from inflate_lib.datasets.split import training_rows
@@ -17,7 +17,7 @@ from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import _storage
 from inflate_lib.diffusion.training import random_generator
-from inflate_lib.experiments.run import check_targets, code, judge
+from inflate_lib.experiments.run import check_targets, judge
 from inflate_lib.models.calibration import Calibration
 
 LATENT = 4  # numbers that the autoencoder describes an image by, besides the descriptor
@@ -146,7 +146,7 @@ def train_autoencoder(data, descriptor, like, n_augmented, seed=0):
         "steps": steps,
         "batch_size": batch_size,
         "seed": seed,
-        "code": code_version(_learning, __name__),
+        "code": step_version("alternative"),
     }
     path = cached("autoencoder", key, make, ".safetensors")
     tensors, content = _storage.read(path, "autoencoder")
@@ -177,7 +177,7 @@ def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1, calibration=N
         "model": digest(*weights, model.condition_min, model.condition_max),
         "targets": digest(targets, told),
         "seed": seed,
-        "code": [code(), code_version(__name__)],
+        "code": step_version("alternative"),
     }
     return load_dataset(cached("experiment", key, make, ".nc"))
 

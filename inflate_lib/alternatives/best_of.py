@@ -12,13 +12,12 @@ import pandas as pd
 import torch
 from scipy.special import comb
 
-from inflate_lib._cache import cached, code_version
-from inflate_lib.alternatives import surrogate
+from inflate_lib._cache import cached, step_version
 from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.metrics import bootstrap, misses
-from inflate_lib.experiments.run import code, model_digest
+from inflate_lib.experiments.run import model_digest
 
 
 def chances(n_candidates, n):
@@ -140,6 +139,6 @@ def seconds_per_structure(model, trained, targets, sampling, seed=0):
         "model": model_digest(model),
         "sampling": dict(sampling),
         "n": len(targets),
-        "code": [code(), code_version(surrogate, __name__)],
+        "code": step_version("alternative"),
     }
     return json.loads(cached("seconds", key, make, ".json").read_text())

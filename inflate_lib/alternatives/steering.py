@@ -17,13 +17,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives import surrogate
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.diffusion import process
 from inflate_lib.diffusion.sampling import _noise, denoise, guided
 from inflate_lib.diffusion.schedule import at
-from inflate_lib.experiments.run import check_targets, code, judge, model_digest
+from inflate_lib.experiments.run import check_targets, judge, model_digest
 from inflate_lib.structures import labels
 
 SHARPNESS = 12.0  # of the border between dark and bright; at ∞ it is the threshold of the label image
@@ -134,6 +134,6 @@ def run_steered(model, descriptor, targets, trained, strength, n_per_target, sam
         "n_per_target": n_per_target,
         "sampling": sampling,
         "seed": seed,
-        "code": [code(), code_version(surrogate, __name__)],
+        "code": step_version("alternative"),
     }
     return load_dataset(cached("experiment", key, make, ".nc"))

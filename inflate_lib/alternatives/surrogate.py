@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives import _learning
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix
@@ -107,7 +107,7 @@ def train_surrogate(data, steps=1500, seed=0, rows=None):
         "data": digest(labels, answers),
         "steps": steps,
         "seed": seed,
-        "code": code_version("inflate_lib.structures", _learning, __name__),
+        "code": step_version("alternative"),
     }
     path = cached("surrogate", key, make, ".safetensors")
     tensors, content = _storage.read(path, "surrogate")

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from inflate_lib import paths
-from inflate_lib._cache import code_version, digest
+from inflate_lib._cache import digest, step_version
 from inflate_lib._progress import Bars, Display, Lines
 from inflate_lib._provenance import package_versions
 from inflate_lib.book._execution import Kernels, execute
@@ -171,15 +171,10 @@ def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> Job:
 
 
 def _shared_fingerprint() -> dict[str, Any]:
-    """What every notebook may depend on: the library (not this runner), the reference numbers, weights, versions."""
-    library = Path(__file__).parent.parent
-    runner = {
-        library / "book" / f"{name}.py" for name in ("run", "build", "edition", "pdf", "sphinx_ext", "_execution")
-    }
-    modules = sorted(p for p in library.rglob("*.py") if p not in runner and p.parent != library / "cli")
+    """What every notebook may depend on: the library without this runner, the reference numbers, weights, versions."""
     data = sorted(p for folder in (paths.REFERENCE, paths.PRETRAINED) for p in folder.rglob("*") if p.is_file())
     return {
-        "library": code_version(*modules),
+        "library": step_version("notebook"),
         "data folder": digest(*(part for path in data for part in (path.name, path))),
         "weights": "trained anew" if RETRAIN in os.environ else "committed where they fit",
         "packages": package_versions(),

@@ -4,13 +4,12 @@ To a cluster the tasks go out as Dask futures and not through joblib's Dask back
 worker only, where they are lost with it, and which cannot hand over results as they come.
 """
 
-from functools import cache
 from itertools import islice
 
 from joblib import Parallel, delayed, effective_n_jobs
 from joblib.parallel import BACKENDS, EXTERNAL_BACKENDS, get_active_backend
 
-from inflate_lib._cache import code_version
+from inflate_lib._cache import step_version
 
 IN_FLIGHT = 4  # tasks per thread of the cluster that wait or run at a time
 SCHEMES = ("tcp", "tls", "ws", "wss", "ucx", "inproc")
@@ -56,7 +55,7 @@ def run_on_cluster(address, function, tasks):
             client.wait_for_workers(1, timeout=PATIENCE)
         except TimeoutError:
             raise RuntimeError(f"the Dask cluster at {address} has no workers") from None
-        code, numbers, waiting = _code(), {}, enumerate(tasks)
+        code, numbers, waiting = step_version("dataset"), {}, enumerate(tasks)
         threads = sum(client.ncores().values())
 
         def submit(count):
@@ -91,14 +90,9 @@ def current_address():
 
 def _checked(code, function, task):
     """Runs on a worker: the call, unless this worker has other code than the one who asks."""
-    if _code() != code:
+    if step_version("dataset") != code:
         raise RuntimeError("a worker has another version of inflate_lib than this machine")
     return function(*task)
-
-
-@cache
-def _code():
-    return code_version("inflate_lib")
 
 
 def check_backend(backend):

@@ -7,7 +7,6 @@ Nothing is dropped: an image that gives no structure, or a structure without an 
 import platform
 import zlib
 from collections.abc import Mapping
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from zipfile import BadZipFile
@@ -17,7 +16,7 @@ from joblib.parallel import get_active_backend
 
 import inflate_lib
 from inflate_lib import _progress, descriptors
-from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._cache import cached, digest, step_version
 from inflate_lib._files import draft
 from inflate_lib.datasets import _workers
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -138,20 +137,14 @@ def simulated_sevens(source="auto", n_structures=None, n_jobs=None, backend=None
 
 def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend=None):
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
-    sevens = sources.load_sevens(source, limit=n_structures)
+    sevens, code = sources.load_sevens(source, limit=n_structures), step_version("dataset")
 
     def make(target, scratch):
         data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch, backend=backend)
-        data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": _code()}
+        data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": code}
         save_dataset(data, target)
 
-    return cached("dataset", {"images": digest(sevens.images), "steps": 10, "code": _code()}, make, ".nc")
-
-
-@cache
-def _code():
-    steps = "structures", "mechanics", "descriptors", "datasets"
-    return code_version(*(f"inflate_lib.{step}" for step in steps))
+    return cached("dataset", {"images": digest(sevens.images), "steps": 10, "code": code}, make, ".nc")
 
 
 def _as_sequence(images):
@@ -179,7 +172,7 @@ def _pieces(images, n_steps, time_limit, folder, run):
 
     def file(number):
         piece, reasons = read(number)
-        key = digest(piece, repr((reasons, n_steps, float(time_limit))), _code())
+        key = digest(piece, repr((reasons, n_steps, float(time_limit))), step_version("dataset"))
         return folder / f"{starts[number]:06d}-{key[:16]}.npz"
 
     files = {} if folder is None else {number: file(number) for number in range(len(starts))}

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from inflate_lib import _progress, descriptors
-from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._cache import cached, digest, step_version
 from inflate_lib._files import draft
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.split import held_out
@@ -95,7 +95,7 @@ def run_experiment(
         "n_per_target": n_per_target,
         "sampling": sampling,
         "seed": seed,
-        "code": code(),
+        "code": step_version("experiment"),
     }
     return load_dataset(cached("experiment", key, make, ".nc"))
 
@@ -227,12 +227,6 @@ def model_digest(model):
     """What a model is, to the last bit."""
     weights = [value.numpy() for _, value in sorted(model.net.state_dict().items())]
     return digest(*weights, model.condition_min, model.condition_max)
-
-
-def code():
-    """Version of all code between a model and the descriptors of what it draws."""
-    steps = "structures", "mechanics", "descriptors", "datasets", "diffusion", "experiments.run"
-    return code_version(*(f"inflate_lib.{step}" for step in steps))
 
 
 def _draw(model, targets, seed, sampling, folder):

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from inflate_lib import _progress
-from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.structures.augmentation import MAX_SHIFT, apply_variants
@@ -73,7 +73,7 @@ def novelty(images, data, rows):
         with open(target, "wb") as file:
             np.savez(file, distance=distance, variant=variant)
 
-    key = {"images": digest(np.asarray(images), library), "code": code_version("inflate_lib.structures", __name__)}
+    key = {"images": digest(np.asarray(images), library), "code": step_version("experiment")}
     with np.load(cached("novelty", key, make, ".npz")) as found:
         return found["distance"], apply_variants(library, found["variant"])
 

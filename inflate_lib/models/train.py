@@ -13,7 +13,7 @@ import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs
 
 from inflate_lib import descriptors
-from inflate_lib._cache import cached, code_version, digest
+from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.datasets.pairs import _about, _held_out, _mean, _part, _variants, training_pairs
 from inflate_lib.descriptors import check_name, descriptor_matrix
 from inflate_lib.diffusion import TrainingConfig, _ranks, train
@@ -91,8 +91,7 @@ def trained_model_file(
             train(*training_pairs(data, descriptor, n_augmented, seed), config, threads=threads)
         return None
     descriptors_now = digest(descriptor_matrix(data, descriptor))
-    code = code_version("inflate_lib.structures", "inflate_lib.datasets", "inflate_lib.diffusion")
-    key = about | {"training": config.recipe(), "descriptors": descriptors_now, "code": code}
+    key = about | {"training": config.recipe(), "descriptors": descriptors_now, "code": step_version("model")}
     path = cached("model", key, make, ".safetensors")
     _ranks.share(False)
     return path

@@ -184,7 +184,7 @@ def test_a_book_is_refused_for_every_kind_of_staleness(done, monkeypatch):
     assert stale()[1] == Stale.CHANGED.format("notebook")
     (done / "notebooks" / "profiles" / "ci.yml").write_text("name: ci\nnotebooks: {02_second: {steps: 11}}\n")
     assert stale()[1] == Stale.CHANGED.format("notebook, parameters")
-    monkeypatch.setattr(reproduce, "code_version", lambda *modules: "other")
+    monkeypatch.setattr(reproduce, "step_version", lambda step: "other")
     assert stale()[1] == Stale.CHANGED.format("notebook, parameters, library")
     (executed / "01_first.ipynb").write_text((executed / "01_first.ipynb").read_text().replace("kept", "edited"))
     assert stale()[0].startswith("What it depends on has changed: library")

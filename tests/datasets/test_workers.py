@@ -147,7 +147,7 @@ def test_an_error_of_a_task_is_told(dask):
 
 
 def test_a_worker_with_other_code_is_refused(dask, monkeypatch):
-    monkeypatch.setattr(_workers, "_code", lambda: "other")
+    monkeypatch.setattr(_workers, "step_version", lambda step: "other")  # the workers are processes with our code
     with pytest.raises(RuntimeError, match="another version of inflate_lib"):
         list(_workers.run_on_cluster(dask, slowly, [(1,)]))
 
