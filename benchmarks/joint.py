@@ -26,13 +26,12 @@ from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, descriptor_matrix
+from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, columns, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.experiments.run import held_out_targets, judge, model_digest
-from inflate_lib.inverse.search import MODELS
+from inflate_lib.inverse.search import models_in_order
 from inflate_lib.models.calibration import Calibration
-from inflate_lib.models.reach import relative_misses
 from inflate_lib.paths import PRETRAINED
 
 TOGETHER = (
@@ -45,7 +44,7 @@ TOGETHER = (
 )
 NEAR = 0.05
 PIECE = 200  # structures drawn and inflated at a time, which is what a stopped script can lose
-COLUMNS = np.repeat(list(PARTS), list(PARTS.values()))  # what each number that the joint model is told belongs to
+COLUMNS = {name: columns(name, PARTS) for name in PARTS}  # of what the joint model is told
 
 
 def options():
@@ -88,27 +87,31 @@ class Study:
             measured = evaluate_variant(
                 model, name, self.data, targets, sampling, self.given.seed, 1, self.n_calibration
             )
-            measured["unit"] = "px" if name == "axis" else "%"
+            measured["unit"] = get_descriptor(name).error.unit
             self.add("one target", name, model_name, sampling, 1, measured)
 
     def several(self, parts):
         """Rows of several descriptors at once: the single model that takes most of them, and the joint model."""
-        single = next(name for name, takes in MODELS.items() if takes and set(takes) <= set(parts))
+        single = next(one.name for one in models_in_order() if set(one.parts) <= set(parts))
         joint, seed = descriptor_matrix(self.data, JOINT), self.given.seed
         _, rows = held_out_targets(self.data, JOINT, self.models[JOINT], self.given.targets, seed)
-        asked = np.where(np.isin(COLUMNS, parts), joint, np.nan)
+        asked = np.full(joint.shape, np.nan)
+        for part in parts:
+            asked[:, COLUMNS[part]] = joint[:, COLUMNS[part]]
         known = np.random.default_rng([seed, 5]).permutation(training_rows(self.data))[: self.n_calibration]
         for model_name, model, sampling in self.ways(single):
             told = asked if model_name == JOINT else descriptor_matrix(self.data, model_name)
             calibration = self.calibration(model, model_name, told[known], sampling)
             wanted = np.array(told[rows])
-            columns = np.isfinite(wanted).all(axis=0)
+            known_columns = np.isfinite(wanted).all(axis=0)
             if calibration:
-                wanted[:, columns] = calibration.told(wanted[:, columns])
+                wanted[:, known_columns] = calibration.told(wanted[:, known_columns])
             drawn = self.drawn(model, np.repeat(wanted, self.given.candidates, axis=0), sampling, seed)
             target = np.repeat(joint[rows], self.given.candidates, axis=0)
             achieved = descriptor_matrix(drawn, JOINT)
-            misses = [relative_misses(part, achieved[:, COLUMNS == part], target[:, COLUMNS == part]) for part in parts]
+            misses = [
+                get_descriptor(part).error.share(achieved[:, COLUMNS[part]], target[:, COLUMNS[part]]) for part in parts
+            ]
             worst = np.where(drawn["valid"].values, np.max(misses, axis=0), np.inf).reshape(len(rows), -1)
             for n in sorted({1, self.given.candidates}):
                 measured = self.measured(worst[:, :n].min(axis=1))

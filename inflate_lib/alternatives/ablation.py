@@ -9,6 +9,7 @@ from contextlib import suppress
 
 import pandas as pd
 
+from inflate_lib.descriptors import get_descriptor
 from inflate_lib.diffusion import TrainingConfig
 from inflate_lib.experiments.calibrate import calibrate
 from inflate_lib.experiments.run import run_experiment
@@ -18,7 +19,7 @@ GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
 N_CALIBRATION = 150  # structures drawn to calibrate a model
 FAST = (10, 20, 50)  # steps of the fast samplers
 SIZES = (600, 2000)  # structures, besides all
-MEASURES = {"R²": "R²", "median error": "median error / target", "valid": "valid"}
+MEASURES = ("R²", "median error", "valid")
 PAPER = {
     "objective": "epsilon",
     "timestep_draws": 1,
@@ -106,11 +107,9 @@ def evaluate_variant(model, descriptor, data, targets, sampling, seed=0, n_jobs=
 def measures(experiment, descriptor, data, seed=0):
     """R², median error and share of valid structures, each with low and high, as a flat dict."""
     table = scores(experiment, descriptor, data, seed=seed).set_index("measure")
-    row = {}
-    for name, measure in MEASURES.items():
-        if descriptor == "axis" and name == "median error":
-            measure = "median point distance"
-        value = table.loc[measure]
+    row, of = {}, {"median error": f"median {get_descriptor(descriptor).error.name}"}
+    for name in MEASURES:
+        value = table.loc[of.get(name, name)]
         row |= {name: value["value"], f"{name} low": value["low"], f"{name} high": value["high"]}
     return row
 

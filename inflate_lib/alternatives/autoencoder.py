@@ -14,7 +14,7 @@ from inflate_lib.alternatives import _learning
 from inflate_lib.datasets.pairs import training_pairs
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors import added_version, descriptor_matrix
 from inflate_lib.diffusion import _storage
 from inflate_lib.diffusion.training import random_generator
 from inflate_lib.experiments.run import check_targets, judge
@@ -177,7 +177,7 @@ def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1, calibration=N
         "model": digest(*weights, model.condition_min, model.condition_max),
         "targets": digest(targets, told),
         "seed": seed,
-        "code": step_version("alternative"),
+        "code": step_version("alternative") + added_version(),
     }
     return load_dataset(cached("experiment", key, make, ".nc"))
 

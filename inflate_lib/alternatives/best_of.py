@@ -14,7 +14,7 @@ from scipy.special import comb
 
 from inflate_lib._cache import cached, step_version
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.metrics import bootstrap, misses
 from inflate_lib.experiments.run import model_digest
@@ -83,8 +83,9 @@ def selection(candidates, descriptor, trained, ns=(1, 4, 16, 50), seconds=None, 
     targets = np.unique(candidates["level"].values)
     shape = len(targets), candidates.sizes["structure"] // len(targets)
     target = candidates["target"].values
-    scale = 1 if descriptor == "axis" else 100
-    error = scale * misses(descriptor, descriptor_matrix(candidates, descriptor), target)
+    error = get_descriptor(descriptor).error.factor * misses(
+        descriptor, descriptor_matrix(candidates, descriptor), target
+    )
     error = np.where(candidates["valid"].values, error, np.inf).reshape(shape)
     images = candidates["image"].values
     promised = misses(descriptor, trained.predict(images, descriptor), target).reshape(shape)

@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.neighbors import NearestNeighbors
 
 from inflate_lib.datasets.split import training_rows
-from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.run import as_experiment
 
 
@@ -23,6 +23,6 @@ def retrieved_structures(data, descriptor, targets):
     """
     rows, targets = training_rows(data), np.asarray(targets)
     matrix = descriptor_matrix(data, descriptor)[rows]
-    scale = matrix.std(axis=0) if matrix.shape[1] <= 2 else 1.0
+    scale = get_descriptor(descriptor).error.scale(matrix)
     found = NearestNeighbors(n_neighbors=1).fit(matrix / scale).kneighbors(targets / scale, return_distance=False)
     return as_experiment(data.isel(structure=rows[found[:, 0]]), descriptor, targets)

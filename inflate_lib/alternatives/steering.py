@@ -17,6 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from inflate_lib import descriptors
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives import surrogate
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -49,7 +50,7 @@ def soft_label(images: Tensor) -> Tensor:
     return label[torch.arange(len(label))[:, None, None], row[:, :, None], column[:, None, :]]
 
 
-def correction(x0: Tensor, wanted: Tensor, trained: surrogate.Surrogate, columns: slice) -> Tensor:
+def correction(x0: Tensor, wanted: Tensor, trained: surrogate.Surrogate, columns: np.ndarray) -> Tensor:
     """What to add to clean images (n, 1, 28, 28) in [−1, 1] so that the surrogate expects ``wanted`` (n, N) of them.
 
     ``wanted`` is on the surrogate's own scale: mean 0, standard deviation 1.
@@ -83,7 +84,7 @@ def steer(model, descriptor, told, wanted, trained, strength=1.0, seed=0, steps=
     -------
     array, shape (m, 28, 28), float32 in [0, 1]
     """
-    columns = surrogate.COLUMNS[descriptor]
+    columns = descriptors.columns(descriptor, surrogate.ANSWERS)
     y = torch.from_numpy(model.scaled(np.asarray(told, dtype=float))).float()
     scaled = (np.asarray(wanted, dtype=float) - trained.mean[columns]) / trained.scale[columns]
     scaled = torch.from_numpy(scaled).float()
@@ -134,6 +135,6 @@ def run_steered(model, descriptor, targets, trained, strength, n_per_target, sam
         "n_per_target": n_per_target,
         "sampling": sampling,
         "seed": seed,
-        "code": step_version("alternative"),
+        "code": step_version("alternative") + descriptors.added_version(),
     }
     return load_dataset(cached("experiment", key, make, ".nc"))

@@ -14,20 +14,19 @@ from torch import Tensor, nn
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives import _learning
 from inflate_lib.datasets.split import training_rows
-from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors import columns, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import _storage
-from inflate_lib.structures.augmentation import mirror_axis
 from inflate_lib.structures.labels import FRAME, label_image
 
 CHANNELS, HIDDEN, BATCH = (8, 16, 32), 128, 64
-#: Columns of the answer that belong to each descriptor.
-COLUMNS = {"height": slice(0, 1), "width": slice(1, 2), "box": slice(0, 2), "area": slice(2, 3), "axis": slice(3, 63)}
+#: Descriptors that it answers with, one after another.
+ANSWERS = ("height", "width", "area", "axis")
 
 
 class Network(nn.Module):
     """Two convolutions each on 28, 14 and 7 pixels a side, and two dense layers."""
 
-    def __init__(self, outputs: int = 63, channels=CHANNELS, hidden: int = HIDDEN):
+    def __init__(self, outputs: int, channels=CHANNELS, hidden: int = HIDDEN):
         super().__init__()
         layers, before = [], 1
         for number, width in enumerate(channels):
@@ -65,7 +64,7 @@ class Surrogate:
             for rows in np.array_split(np.flatnonzero(usable), max(1, len(labels) // 256)):
                 if len(rows):
                     answers[rows] = self.net(torch.from_numpy(centred(labels[rows]))).numpy() * self.scale + self.mean
-        return answers[:, COLUMNS[descriptor]]
+        return answers[:, columns(descriptor, ANSWERS)]
 
 
 def train_surrogate(data, steps=1500, seed=0, rows=None):
@@ -88,8 +87,11 @@ def train_surrogate(data, steps=1500, seed=0, rows=None):
     """
     rows = training_rows(data) if rows is None else rows
     labels, answers = data["label"].values[rows], answer_matrix(data)[rows]
-    mean, scale = answers.mean(axis=0), answers.std(axis=0)
-    scale[3:] = np.sqrt((scale[3:] ** 2).mean())  # points of an axis belong together; the first one never moves
+    parts = [columns(name, ANSWERS) for name in ANSWERS]
+    mean = answers.mean(axis=0)
+    scale = np.concatenate(
+        [get_descriptor(n).error.scale(answers[:, of]) for n, of in zip(ANSWERS, parts, strict=True)]
+    )
     net = _learning.initialised(lambda: Network(answers.shape[1]), seed)
 
     def make(target, scratch):
@@ -98,7 +100,8 @@ def train_surrogate(data, steps=1500, seed=0, rows=None):
         y = torch.from_numpy((y - mean) / scale).float()
 
         def loss(rows, generator):
-            return _loss(net(x[rows]), y[rows])
+            squares = (net(x[rows]) - y[rows]).square().mean(dim=0)
+            return sum(squares[of].mean() for of in parts)  # an axis counts as much as each scalar
 
         history, seconds = _learning.fit(net, loss, len(x), steps, BATCH, 2e-3, seed, scratch, "training the surrogate")
         _storage.write(target, "surrogate", net.state_dict(), {"history": history, "seconds": seconds})
@@ -117,14 +120,13 @@ def train_surrogate(data, steps=1500, seed=0, rows=None):
 
 def answer_matrix(data):
     """Everything that the surrogate answers: height, width, hull area and the medial axis, (n, 63)."""
-    return np.column_stack([descriptor_matrix(data, name) for name in ("height", "width", "area", "axis")])
+    return np.column_stack([descriptor_matrix(data, name) for name in ANSWERS])
 
 
 def mirrored(answers):
     """The answers for mirrored structures."""
-    flipped = np.array(answers)
-    flipped[:, 3:] = mirror_axis(flipped[:, 3:])
-    return flipped
+    parts = [get_descriptor(name).mirrored(answers[:, columns(name, ANSWERS)]) for name in ANSWERS]
+    return np.column_stack(parts)
 
 
 def centred(labels):
@@ -136,12 +138,6 @@ def centred(labels):
     shift = (columns.shape[1] - 1 - last - first) // 2
     source = (np.arange(columns.shape[1]) - shift[:, None]) % columns.shape[1]
     return np.take_along_axis(labels, source[:, None, :], axis=2)
-
-
-def _loss(answer, wanted):
-    """Mean squared error in which the medial axis counts as much as each scalar."""
-    squares = (answer - wanted).square().mean(dim=0)
-    return squares[:3].sum() + squares[3:].mean() if len(squares) > 3 else squares.sum()
 
 
 def _labels(images):

@@ -29,7 +29,7 @@ def train(
     paths.need_checkout("inflate train")
     from inflate_lib.book.profiles import load_profile
     from inflate_lib.datasets.simulate import simulated_sevens
-    from inflate_lib.descriptors import DESCRIPTORS, check_name
+    from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
     from inflate_lib.diffusion import _ranks
     from inflate_lib.models import train
 
@@ -37,7 +37,7 @@ def train(
         raise ValueError("--pack trains nothing: leave out --steps, --out and --log")
     if steps is not None and (out, log) != (None, None):
         raise ValueError("--steps is a dry run, which keeps nothing: leave out --out and --log")
-    names = list(DESCRIPTORS) if descriptor == "all" else [check_name(descriptor)]
+    names = list(DESCRIPTORS) if descriptor == "all" else [get_descriptor(descriptor).name]
     given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
     training = given["training"] | ({"device": device} if device else {}) | ({"compile": True} if compile else {})
     _ranks.start(training.get("device", "auto"))

@@ -4,7 +4,7 @@ import numpy as np
 
 from inflate_lib._cache import digest
 from inflate_lib.datasets.split import held_out
-from inflate_lib.descriptors import check_name, descriptor_matrix
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.structures.augmentation import apply_variants, augment, augment_descriptors
 
 
@@ -31,7 +31,8 @@ def training_pairs(data, descriptor, n_augmented, seed=0):
     seen = _part(data, ~_held_out(data))
     images = seen["image"].values
     variants = _variants(images, n_augmented, seed)
-    conditions = augment_descriptors(descriptor_matrix(seen, descriptor), descriptor, variants)
+    matrix = descriptor_matrix(seen, descriptor)
+    conditions = augment_descriptors(matrix, get_descriptor(descriptor).mirrored(matrix), variants)
     return apply_variants(images, variants), conditions
 
 
@@ -51,7 +52,7 @@ def _held_out(data):
 
 def _about(descriptor, data, n_augmented):
     """What a model was trained on, exactly."""
-    check_name(descriptor)
+    get_descriptor(descriptor)
     return {
         "descriptor": descriptor,
         "source": data.attrs.get("source", "unknown"),

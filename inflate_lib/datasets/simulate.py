@@ -15,12 +15,12 @@ import numpy as np
 from joblib.parallel import get_active_backend
 
 import inflate_lib
-from inflate_lib import _progress, descriptors
+from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib._files import draft
 from inflate_lib.datasets import _workers
 from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors import AXIS_POINTS
+from inflate_lib.descriptors import Shape, added_version, basic
 from inflate_lib.mechanics import contact, inflation
 from inflate_lib.structures import labels, sources
 from inflate_lib.structures.labels import FRAME
@@ -31,13 +31,8 @@ PIECE = 32  # structures per unit of work, which is what a killed run can lose; 
 ALONE = 128  # as many structures are done in this process before others have started
 TIME_LIMIT = 1.0, 0.1  # seconds allowed for a structure, or per load step if that is more; see `inflation.inflate`
 
+#: What the variables besides the descriptors hold, and their units.
 _UNITS = {
-    "height": ("deformed height h", "1"),
-    "width": ("deformed width w", "1"),
-    "hull_area": ("area A of the deformed convex hull", "1"),
-    "medial_axis": ("medial axis of the deformed shape, bottom to top, first point at the origin", "1"),
-    "peak_stress": ("largest von Mises stress of any element, in the units of lambda and mu", "1"),
-    "peak_stretch": ("largest principal stretch of any element", "1"),
     "image": ("grey image of the undeformed structure", "1"),
     "label": ("label image: 0 outside, 0.5 wall, 1 void", "1"),
     "converged": ("every load step reached equilibrium", "1"),
@@ -137,7 +132,7 @@ def simulated_sevens(source="auto", n_structures=None, n_jobs=None, backend=None
 
 def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend=None):
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
-    sevens, code = sources.load_sevens(source, limit=n_structures), step_version("dataset")
+    sevens, code = sources.load_sevens(source, limit=n_structures), _code()
 
     def make(target, scratch):
         data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch, backend=backend)
@@ -145,6 +140,11 @@ def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend
         save_dataset(data, target)
 
     return cached("dataset", {"images": digest(sevens.images), "steps": 10, "code": code}, make, ".nc")
+
+
+def _code():
+    """Version of all that lies between an image and its descriptors."""
+    return step_version("dataset") + added_version()
 
 
 def _as_sequence(images):
@@ -172,13 +172,13 @@ def _pieces(images, n_steps, time_limit, folder, run):
 
     def file(number):
         piece, reasons = read(number)
-        key = digest(piece, repr((reasons, n_steps, float(time_limit))), step_version("dataset"))
+        key = digest(piece, repr((reasons, n_steps, float(time_limit))), _code())
         return folder / f"{starts[number]:06d}-{key[:16]}.npz"
 
     files = {} if folder is None else {number: file(number) for number in range(len(starts))}
     there = {number: rows for number, path in files.items() if (rows := _stored(path)) is not None}
     missing = [number for number in range(len(starts)) if number not in there]
-    new = run((*read(number), n_steps, time_limit) for number in missing) if missing else iter(())
+    new = run((*read(number), n_steps, time_limit, basic()) for number in missing) if missing else iter(())
     for number in range(len(starts)):
         while number not in there:
             task, rows = next(new)
@@ -207,20 +207,18 @@ def _read(images, start, stop):
     return usable, reasons
 
 
-def _simulate(images, reasons, n_steps, time_limit):
-    """The rows of a few images, as a dict of arrays."""
+def _simulate(images, reasons, n_steps, time_limit, measured):
+    """The rows of a few images, as a dict of arrays.
+
+    The descriptors that are `measured` come along, since those that a user registered are unknown to other processes.
+    """
     n = len(images)
     rows = {
         "image": images if images.dtype == np.uint8 else images.astype(np.float32),
         "label": np.zeros((n, FRAME, FRAME), dtype=np.float32),
         "converged": np.zeros(n, dtype=bool),
         "reason": list(reasons),
-        "height": np.full(n, np.nan),
-        "width": np.full(n, np.nan),
-        "hull_area": np.full(n, np.nan),
-        "medial_axis": np.full((n, AXIS_POINTS, 2), np.nan),
-        "peak_stress": np.full(n, np.nan),
-        "peak_stretch": np.full(n, np.nan),
+        **{one.variable: np.full((n, *one.sizes.values()), np.nan) for one in measured},
         "factorisations": np.zeros(n, dtype=np.int32),
         "self_contact": np.zeros(n, dtype=np.int32),
         "contact_step": np.zeros(n, dtype=np.int32),
@@ -234,14 +232,14 @@ def _simulate(images, reasons, n_steps, time_limit):
             rows["factorisations"][i], rows["reason"][i] = result.factorisations, result.reason
             if not result.converged:
                 continue
-            shape = descriptors.describe(result)
+            shape = Shape.of(result)
+            values = {one.variable: one.of(shape) for one in measured}
         except ValueError as error:
             rows["reason"][i] = str(error)
             continue
         rows["converged"][i] = True
-        rows["height"][i], rows["width"][i], rows["hull_area"][i] = shape.height, shape.width, shape.hull_area
-        rows["medial_axis"][i] = shape.medial_axis
-        rows["peak_stress"][i], rows["peak_stretch"][i] = shape.peak_stress, shape.peak_stretch
+        for name, value in values.items():
+            rows[name][i] = value
         if (first := contact.first_contact(result)) is not None:
             rows["contact_step"][i], rows["self_contact"][i] = first + 1, contact.self_contact(result)
     rows["reason"] = np.array(rows["reason"])
@@ -265,14 +263,14 @@ def _store(path, rows):
 def _assemble(parts, n_steps):
     import xarray as xr
 
-    dims = {"image": ("structure", "row", "column"), "label": ("structure", "row", "column")}
-    dims["medial_axis"] = ("structure", "point", "axis")
+    dims = {one.variable: ("structure", *one.sizes) for one in basic()}
+    dims |= {"image": ("structure", "row", "column"), "label": ("structure", "row", "column")}
     variables = {
         name: (dims.get(name, ("structure",)), np.concatenate([part[name] for part in parts])) for name in parts[0]
     }
     data = xr.Dataset(variables, coords={"axis": ["x", "y"]})
     data["reason"] = data["reason"].astype(object)
-    for name, (text, units) in _UNITS.items():
+    for name, (text, units) in ({one.variable: (one.meaning, "1") for one in basic()} | _UNITS).items():
         data[name].attrs |= {"long_name": text} | ({"units": units} if units else {})
     data.attrs = {
         "title": "Inflated structures and their descriptors",

@@ -1,6 +1,6 @@
 """A data set of inflated structures as one netCDF file."""
 
-from inflate_lib.descriptors import VARIABLES
+from inflate_lib.descriptors import PARTS, get_descriptor
 
 
 def save_dataset(data, path):
@@ -23,7 +23,7 @@ def load_dataset(path):
         data = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as a netCDF data set: {error}") from None
-    needed = {"image", "converged", "reason"}.union(*VARIABLES.values())
+    needed = {"image", "converged", "reason"}.union(get_descriptor(part).variable for part in PARTS)
     if missing := needed - set(data.variables):
         raise ValueError(f"{path} is no data set of inflated structures; it lacks {', '.join(sorted(missing))}")
     return data

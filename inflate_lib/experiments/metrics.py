@@ -5,8 +5,7 @@ again from resamples of the structures, and the range that holds the middle 95 %
 
 import numpy as np
 
-from inflate_lib.descriptors import descriptor_matrix
-from inflate_lib.structures.labels import PIXEL
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 
 
 def errors(experiment, descriptor):
@@ -29,25 +28,7 @@ def errors(experiment, descriptor):
 
 def misses(descriptor, achieved, target):
     """:func:`errors` of descriptors that are given as arrays, achieved and target (n, N)."""
-    if descriptor == "axis":
-        return point_distances(achieved, target).mean(axis=1)
-    return np.abs(achieved / target - 1).mean(axis=1)
-
-
-def point_distances(axes, others):
-    """Distances of the points of medial axes from those of others, in pixels: (n, 60), (n, 60) → (n, 30)."""
-    apart = (np.asarray(axes) - np.asarray(others)).reshape(-1, np.shape(axes)[-1] // 2, 2)
-    return np.linalg.norm(apart, axis=-1) / PIXEL
-
-
-def hausdorff(axes, others):
-    """Hausdorff distances of medial axes as sets of points, pair by pair, in pixels: (n, 60), (n, 60) → (n,).
-
-    The largest distance of any point of one axis from the nearest point of the other.
-    """
-    axes, others = (np.reshape(part, (len(part), -1, 2)) for part in (axes, others))
-    apart = np.linalg.norm(axes[:, :, None] - others[:, None, :], axis=-1)
-    return np.maximum(apart.min(axis=1).max(axis=1), apart.min(axis=2).max(axis=1)) / PIXEL
+    return get_descriptor(descriptor).error.of(achieved, target)
 
 
 def r_squared(target, achieved):

@@ -9,22 +9,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from inflate_lib import _progress, descriptors
+from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib._files import draft
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.split import held_out
 from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors import PARTS, added_version, columns, descriptor_matrix, get_descriptor, joint_conditions
 from inflate_lib.diffusion import generate
 from inflate_lib.structures import labels
 
 WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for a drawing to be one structure
 PIECE = 128  # structures generated at a time, which is what a killed run can lose
-
-#: What one component of each descriptor is called in tables and messages.
-COMPONENTS = {"height": ["h"], "width": ["w"], "box": ["h", "w"], "area": ["A"]}
-COMPONENTS |= {"stress": ["stress"], "stretch": ["stretch"]}
 
 
 def run_experiment(
@@ -77,7 +73,7 @@ def run_experiment(
     level = np.repeat(np.arange(len(targets)), n_per_target)
     told = targets if calibration is None else calibration.told(targets)
     if model.config.parts:  # one model for all descriptors
-        told = descriptors.joint_conditions(descriptor, told)
+        told = joint_conditions(descriptor, told)
 
     def make(target, scratch):
         drawn = _draw(model, told[level], seed, sampling, scratch)
@@ -95,7 +91,7 @@ def run_experiment(
         "n_per_target": n_per_target,
         "sampling": sampling,
         "seed": seed,
-        "code": step_version("experiment"),
+        "code": step_version("experiment") + added_version(),
     }
     return load_dataset(cached("experiment", key, make, ".nc"))
 
@@ -144,7 +140,7 @@ def check_targets(model, descriptor, targets, extrapolate=False):
     ValueError
         With the range, for targets outside it. With `extrapolate` it is a warning instead.
     """
-    components = descriptors.length(descriptor)
+    components = get_descriptor(descriptor).length
     targets = np.asarray(targets, dtype=float)
     if targets.size == 0 or targets.size % components:
         raise ValueError(f"targets for {descriptor} must have shape (k, {components}), not {targets.shape}")
@@ -155,7 +151,7 @@ def check_targets(model, descriptor, targets, extrapolate=False):
     if outside.any():
         row = int(np.argmax(outside))
         column = int(np.argmin(fits[row]))
-        what = f"target {row} asks for {component_name(descriptor, column)} = {targets[row, column]:.4g}"
+        what = f"target {row} asks for {get_descriptor(descriptor).components[column]} = {targets[row, column]:.4g}"
         seen = f"{low[column]:.4g} to {high[column]:.4g}"
         many = f"{outside.sum()} of {len(targets)} targets for {descriptor} lie outside the training data"
         text = f"{many}: {what}, where structures from {seen} were seen"
@@ -172,18 +168,10 @@ def inside(model, descriptor, targets):
 
 def target_range(model, descriptor):
     """Least and largest value of each component of a descriptor that a model was trained on, (N,) each."""
-    n = descriptors.length(descriptor)
-    if len(model.condition_min) == n:
+    if len(model.condition_min) == get_descriptor(descriptor).length:
         return model.condition_min, model.condition_max
-    asked = ~np.isnan(descriptors.joint_conditions(descriptor, np.zeros((1, n)))[0])  # of a model for all descriptors
+    asked = columns(descriptor, PARTS)  # of a model for all descriptors
     return model.condition_min[asked], model.condition_max[asked]
-
-
-def component_name(descriptor, column):
-    """What a component of a descriptor is called: h, w, A, or for axes "x of point 3"."""
-    if descriptor == "axis":
-        return f"{'xy'[column % 2]} of point {column // 2}"
-    return COMPONENTS[descriptor][column]
 
 
 def held_out_targets(data, descriptor, model=None, n=200, seed=0):

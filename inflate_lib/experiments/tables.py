@@ -10,10 +10,8 @@ from enum import StrEnum
 import numpy as np
 import pandas as pd
 
-from inflate_lib.descriptors import descriptor_matrix
-from inflate_lib.experiments.metrics import bootstrap, errors, hausdorff, point_distances, r_squared
-from inflate_lib.experiments.run import COMPONENTS
-from inflate_lib.structures.labels import PIXEL
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.experiments.metrics import bootstrap, errors, r_squared
 
 
 class Failure(StrEnum):
@@ -30,14 +28,6 @@ class Failure(StrEnum):
 #: How the reasons begin that a data set gives; the rest are the numbers of the structure at hand.
 FAILURES = {"image is blank": Failure.BLANK, "image has no digit": Failure.TOO_SMALL}
 FAILURES |= {"structure does not fit": Failure.TOO_LARGE, "no equilibrium": Failure.NO_EQUILIBRIUM}
-WITHIN = (0.02, 0.05, 0.10)  # shares of the target within which structures are counted
-WITHIN_PIXELS = (0.25, 0.5, 1.0)  # the same for medial axes
-
-
-# --- intervals -----------------------------------------------------------------------------------------------------
-
-
-# --- tables --------------------------------------------------------------------------------------------------------
 
 
 def scores(experiment, descriptor, data, by_target=False, seed=0, n_resamples=1000):
@@ -65,11 +55,12 @@ def scores(experiment, descriptor, data, by_target=False, seed=0, n_resamples=10
     target, achieved = experiment["target"].values, descriptor_matrix(experiment, descriptor)
     valid = experiment["valid"].values
     achieved = np.where(valid[:, None], achieved, np.nan)
-    columns, within, unit, near = _per_structure(experiment, descriptor, data, target, achieved)
+    one, typical = get_descriptor(descriptor), descriptor_matrix(data, descriptor)[data["converged"].values]
+    columns, within = one.error.in_units(achieved, target, typical, one.unit), one.error.of(achieved, target)
     measures = [("R²", "1")]
     for name, (column_unit, _) in columns.items():
         measures += [(f"mean {name}", column_unit), (f"median {name}", column_unit)]
-    measures += [(f"within {_limit(limit, unit)}", "%") for limit in near]
+    measures += [(f"within {one.error.limit(limit)}", "%") for limit in one.error.limits]
     measures += [("valid", "%"), ("self-contact", "%")]
     values = np.column_stack([column for _, column in columns.values()])
     crossing = experiment["self_contact"].values > 0
@@ -78,7 +69,7 @@ def scores(experiment, descriptor, data, by_target=False, seed=0, n_resamples=10
         good = valid[rows]
         known = values[rows[good]]
         averages = np.column_stack([_mean(known), _median(known)]).ravel()
-        shares = [_share(within[rows[good]] <= limit) for limit in near]
+        shares = [_share(within[rows[good]] <= limit) for limit in one.error.limits]
         shares += [_share(good), _share(crossing[rows[good]])]
         return np.array([r_squared(target[rows], achieved[rows]), *averages, *(100 * share for share in shares)])
 
@@ -86,31 +77,6 @@ def scores(experiment, descriptor, data, by_target=False, seed=0, n_resamples=10
     low, high = bootstrap(statistics, len(target), experiment["level"].values if by_target else None, seed, n_resamples)
     table = pd.DataFrame(measures, columns=["measure", "unit"])
     return table.assign(value=statistics(everything), low=low, high=high)
-
-
-def _per_structure(experiment, descriptor, data, target, achieved):
-    """Errors in several units, as {name: (unit, (n,))}; the one that shares are counted by, its unit and limits."""
-    typical = descriptor_matrix(data, descriptor)[data["converged"].values]
-    if descriptor == "axis":
-        apart = point_distances(achieved, target)
-        distance = apart.mean(axis=1)
-        middle = np.broadcast_to(typical.mean(axis=0), typical.shape)
-        height = target[:, -1] * 30 / 29  # the last of 30 points is 29/30 of the way up
-        columns = {
-            "point distance": ("px", distance),
-            "Hausdorff distance": ("px", hausdorff(np.nan_to_num(achieved), target)),
-            "point distance / height": ("%", 100 * distance * PIXEL / height),
-            "point distance / spread": ("1", distance / point_distances(typical, middle).mean()),
-        }
-        return columns, distance, "px", WITHIN_PIXELS
-    absolute = np.abs(achieved - target)
-    relative = errors(experiment, descriptor)
-    columns = {
-        "error": ({"area": "side²", "stress": "1", "stretch": "1"}.get(descriptor, "side"), absolute.mean(axis=1)),
-        "error / target": ("%", 100 * relative),
-        "error / standard deviation": ("1", (absolute / typical.std(axis=0)).mean(axis=1)),
-    }
-    return columns, relative, "%", WITHIN
 
 
 def side_by_side(tables, digits=3):
@@ -163,17 +129,17 @@ def accuracy(experiment, descriptor):
     """
     valid, target = experiment["valid"].values, experiment["target"].values
     level, achieved = experiment["level"].values, descriptor_matrix(experiment, descriptor)
-    error = errors(experiment, descriptor)
-    unit, scale, near = ("px", 1, 1) if descriptor == "axis" else ("%", 100, 0.05)
+    one, error = get_descriptor(descriptor), errors(experiment, descriptor)
+    unit, factor, near = one.error.unit, one.error.factor, one.error.near
 
     def row(name, here):
         error_here = error[here & valid]
         return {
             "target": name,
             "valid": valid[here].mean(),
-            f"mean error ({unit})": scale * _mean(error_here),
-            f"median error ({unit})": scale * _median(error_here),
-            f"within {near} px" if descriptor == "axis" else f"within {near:.0%}": _share(error_here <= near),
+            f"mean error ({unit})": factor * _mean(error_here),
+            f"median error ({unit})": factor * _median(error_here),
+            f"within {one.error.limit(near).replace(' %', '%')}": _share(error_here <= near),
         }
 
     rows = []
@@ -181,9 +147,9 @@ def accuracy(experiment, descriptor):
         here = level == k
         reached = pd.DataFrame(achieved[here & valid])
         spread = {}
-        for column, name in enumerate(COMPONENTS.get(descriptor, [])):
+        for column, name in enumerate(() if one.is_line else one.components):
             spread |= {f"mean {name}": reached[column].mean(), f"std {name}": reached[column].std()}
-        rows.append(row(_words(descriptor, target[here][0], k), here) | spread)
+        rows.append(row(_words(one, target[here][0], k), here) | spread)
     everything = row("all", np.ones(len(level), dtype=bool))
     everything["R²"] = r_squared(target[valid], achieved[valid])
     return pd.DataFrame([*rows, everything]).reindex(columns=[*rows[0], "R²"])
@@ -208,10 +174,6 @@ def _failure(reason):
     return next((kind for begin, kind in FAILURES.items() if reason.startswith(begin)), Failure.UNUSABLE)
 
 
-def _limit(limit, unit):
-    return f"{limit:g} px" if unit == "px" else f"{100 * limit:.0f} %"
-
-
 def _mean(values):
     """Mean over rows; NaN, without a warning, of nothing."""
     return values.mean(axis=0) if len(values) else np.full(values.shape[1:], np.nan)
@@ -227,7 +189,7 @@ def _share(flags):
 
 def _words(descriptor, target, number):
     """A target as a table shows it."""
-    if descriptor == "axis":
-        return f"axis {number + 1}"
+    if descriptor.is_line:
+        return f"{descriptor.name} {number + 1}"
     values = ", ".join(f"{value:.3f}" for value in target)
     return f"({values})" if len(target) > 1 else values

@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 
 from inflate_lib import paths
+from inflate_lib.descriptors import get_descriptor
 
 LEVELS = ("low", "medium", "high")
-COMPONENTS = {"height": ("height",), "width": ("width",), "box": ("height", "width"), "area": ("area",)}
+TABULATED = ("height", "width", "box", "area")  # in the paper's Table 1
 NEIGHBOURS = 20  # a medial axis is ordinary if it has this many others close by
 ORDINARY = 0.9  # share of the axes that count as ordinary
 
@@ -53,9 +54,9 @@ def paper_targets():
     return pd.DataFrame(
         [
             (name, level, component, table.loc[(name, number), component])
-            for name, components in COMPONENTS.items()
+            for name in TABULATED
             for number, level in enumerate(LEVELS, start=1)
-            for component in components
+            for component in get_descriptor(name).parts
         ],
         columns=["descriptor", "level", "component", "paper"],
     )
@@ -67,7 +68,7 @@ def compare_with_paper(centroids):
     ``centroids`` maps "height", "width", "box" and "area" to arrays (3, N), sorted from low to high.
     """
     table = paper_targets()
-    table["here"] = np.concatenate([np.ravel(centroids[name]) for name in COMPONENTS])
+    table["here"] = np.concatenate([np.ravel(centroids[name]) for name in TABULATED])
     table["deviation_percent"] = 100 * (table.here / table.paper - 1)
     return table
 

@@ -10,7 +10,7 @@ import pandas as pd
 
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, step_version
-from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.structures.augmentation import MAX_SHIFT, apply_variants
 
@@ -121,11 +121,11 @@ def diversity(experiment, descriptor, data, seed=0, n_resamples=1000):
     """
     real = np.flatnonzero(data["converged"].values)
     matrix = descriptor_matrix(data, descriptor)[real]
-    rows = []
+    scale, rows = get_descriptor(descriptor).error.scale(matrix), []
     for level in np.unique(experiment["level"].values):
         mine = (experiment["level"].values == level) & experiment["valid"].values
         target = experiment["target"].values[experiment["level"].values == level][0]
-        order = np.argsort(np.linalg.norm((matrix - target) / _scale(matrix), axis=1), kind="stable")
+        order = np.argsort(np.linalg.norm((matrix - target) / scale, axis=1), kind="stable")
         found = {"generated": experiment["image"].values[mine], "data": data["image"].values[real[order[: mine.sum()]]]}
         row = {"target": int(level) + 1, "n": int(mine.sum())}
         for name, images in found.items():
@@ -137,11 +137,6 @@ def diversity(experiment, descriptor, data, seed=0, n_resamples=1000):
             row |= {f"{name} low": float(low), f"{name} high": float(high)}
         rows.append(row | {"ratio": row["generated"] / row["data"]})
     return pd.DataFrame(rows)
-
-
-def _scale(matrix):
-    """Standard deviation of each component; of axes, whose components belong together, none is scaled."""
-    return matrix.std(axis=0) if matrix.shape[1] <= 2 else 1.0
 
 
 def _moves(max_shift):

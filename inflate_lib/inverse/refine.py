@@ -15,8 +15,8 @@ from scipy import ndimage
 from inflate_lib.datasets.simulate import TIME_LIMIT
 from inflate_lib.descriptors import describe
 from inflate_lib.inverse.constraints import Constraints
-from inflate_lib.inverse.targets import errors
-from inflate_lib.mechanics.adjoint import SCALARS, flip_changes, sensitivities
+from inflate_lib.inverse.targets import deviations
+from inflate_lib.mechanics.adjoint import DIFFERENTIABLE, flip_changes, sensitivities
 from inflate_lib.mechanics.contact import first_contact
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, label_image
@@ -120,13 +120,13 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
         pixels = rng.permutation(border(label))
         return list(most_promising(pixels, label, result, targets, symmetric) if order == "sensitivity" else pixels)
 
-    best = max(errors(targets, describe(result)).values())
+    best = max(deviations(targets, describe(result)).values())
     untried = queue() if best > goal else []
     while best > goal and tries > 0 and untried:
         row, column = (int(i) for i in untried.pop(0))
         tries -= 1
         reason, changed, inflated = attempt(with_flipped(label, row, column, symmetric), constraints)
-        error = np.inf if reason else max(errors(targets, describe(inflated)).values())
+        error = np.inf if reason else max(deviations(targets, describe(inflated)).values())
         if error <= best * (1 - LESS):
             label, result, best = changed, inflated, error
             flipped.append((row, column))
@@ -142,9 +142,9 @@ def most_promising(pixels, label, result, targets, symmetric=False):
     Height, width and area are expected to change as :func:`.mechanics.adjoint.flip_changes` says; all else, to stay.
     """
     shape, mirror = describe(result), mirror_columns(label)
-    stays = [miss for name, miss in errors(targets, shape).items() if name not in SCALARS]
+    stays = [miss for name, miss in deviations(targets, shape).items() if name not in DIFFERENTIABLE]
     expected = np.full(len(pixels), max(stays, default=0.0))
-    for name in (name for name in targets.asked if name in SCALARS):
+    for name in (name for name in targets.asked if name in DIFFERENTIABLE):
         change = flip_changes(label, sensitivities(result, name))
         if symmetric:  # of both pixels; one in the middle is its own mirror image
             change = change + np.where(mirror == np.arange(FRAME), 0, change[:, mirror.clip(0, FRAME - 1)])

@@ -254,9 +254,10 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
     moose.write_case(one.result.mesh, folder / "moose", name)
     shape = one.shape
     achieved = {"height": shape.height, "width": shape.width, "area": shape.hull_area}
+    achieved["axis"] = shape.medial_axis.tolist()
     record = {
-        "achieved": achieved | {"axis": shape.medial_axis.tolist()},
-        "errors": one.errors,
+        "achieved": achieved | {name: np.asarray(value).tolist() for name, value in shape.others.items()},
+        "errors": one.deviations,
         "within_tolerance": bool(one.within),
         "peak_von_mises_stress": one.shape.peak_stress,
         "largest_principal_stretch": one.shape.peak_stretch,

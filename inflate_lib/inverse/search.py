@@ -19,13 +19,13 @@ from joblib import Parallel, delayed
 from inflate_lib import paths
 from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.descriptors import JOINT, PARTS, PHYSICAL, Descriptors, describe
+from inflate_lib.descriptors import JOINT, PARTS, PHYSICAL, Descriptors, describe, get_descriptor, registered
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.diffusion._storage import fingerprint
 from inflate_lib.inverse.constraints import Constraints, mirrored
 from inflate_lib.inverse.refine import Rejection, attempt
 from inflate_lib.inverse.refine import refine as refine_structure
-from inflate_lib.inverse.targets import Targets, as_targets, errors
+from inflate_lib.inverse.targets import Targets, as_targets, deviations
 from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.models.reach import check_reach
 from inflate_lib.models.weights import trained_models
@@ -36,9 +36,6 @@ SAMPLING = {"sampler": "ddim", "steps": 25, "eta": 1.0, "guidance": 3.0}
 BATCH = 64  # candidates
 NEAR, INSIDE = 3, 0.5  # misses of up to 3 times the tolerance are refined, until they are at half of it
 SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
-#: Models by what they are conditioned on, the most telling first; "joint" takes any combination, NaN where not asked.
-MODELS = {JOINT: (), "axis": ("axis",), "box": ("height", "width"), "area": ("area",)}
-MODELS |= {"width": ("width",), "height": ("height",)}
 WEIGHTS = ("paper", "laptop", "ci")  # folders of data/pretrained, in the order in which they are looked into
 
 
@@ -59,8 +56,8 @@ class Design:
     label : (28, 28) float
     result : Inflation
     shape : Descriptors
-    errors : dict
-        Relative error of each target, see :func:`inflate_lib.inverse.targets.errors`.
+    deviations : dict
+        Relative error of each target, see :func:`inflate_lib.inverse.targets.deviations`.
     within : bool
         All of them are within the tolerance.
     candidate : int
@@ -73,7 +70,7 @@ class Design:
     label: np.ndarray
     result: Inflation
     shape: Descriptors
-    errors: dict
+    deviations: dict
     within: bool
     candidate: int
     origin: dict
@@ -81,7 +78,7 @@ class Design:
     @property
     def error(self):
         """The largest of the relative errors."""
-        return max(self.errors.values())
+        return max(self.deviations.values())
 
 
 @dataclass
@@ -114,7 +111,7 @@ class Designs:
         rows = []
         for number, one in enumerate(self.designs, start=1):
             row = {"design": number, "within": one.within}
-            row |= {f"error {name} (%)": 100 * value for name, value in one.errors.items()}
+            row |= {f"error {name} (%)": 100 * value for name, value in one.deviations.items()}
             row |= {"height": one.shape.height, "width": one.shape.width, "area": one.shape.hull_area}
             rows.append(row | {"peak stress": one.shape.peak_stress, "peak stretch": one.shape.peak_stretch})
         names = [f"error {name} (%)" for name in self.targets.asked]
@@ -265,8 +262,9 @@ def find_model(targets, profile=None):
         Where stress or stretch is asked for, which the joint model alone takes, and it is not there.
     """
     asked = set(targets.asked)
-    singles = [name for name, takes in MODELS.items() if takes and set(takes) <= asked]
-    fitting = [JOINT] if asked & set(PHYSICAL) else [*singles, JOINT]
+    singles = [one.name for one in models_in_order() if set(one.parts) <= asked]
+    fitting = singles if not asked & set(PHYSICAL) else []
+    fitting += [JOINT] if asked & set(PARTS) else []
     for folder in (profile,) if profile else WEIGHTS:
         for name in fitting:
             if (path := paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
@@ -277,6 +275,12 @@ def find_model(targets, profile=None):
     given = load_profile(profile or WEIGHTS[-1]).parameters(paths.NOTEBOOKS / "08_training.md")
     data = simulated_sevens(given["source"], given["n_structures"] or None)
     return single, trained_models([single], given["training"], data, given["n_augmented"], given["seed"])[single]
+
+
+def models_in_order():
+    """Descriptors that have a model of their own, the most telling first."""
+    own = [one for one in registered()[::-1] if not one.any_part and one.name not in PHYSICAL]
+    return sorted(own, key=lambda one: -one.length)
 
 
 def corrected(aim, wanted, achieved, model):
@@ -346,7 +350,7 @@ def _verified(images, batch, found, seen, n_jobs):
 def _measured(label, result, found, candidate, origin):
     """A design from a structure and its inflation."""
     shape = describe(result)
-    miss = errors(found.targets, shape)
+    miss = deviations(found.targets, shape)
     return Design(label, result, shape, miss, max(miss.values()) <= found.tolerance, candidate, origin)
 
 
@@ -398,10 +402,11 @@ def _check_model(name, model, targets):
     """Whether a model can be told the targets."""
     if name != JOINT and set(PHYSICAL) & set(targets.asked):
         raise _no_joint_model(targets)
-    if name == JOINT and model.config.parts != tuple(PARTS.values()):
+    lengths = tuple(get_descriptor(part).length for part in PARTS)
+    if name == JOINT and model.config.parts != lengths:
         raise ValueError(
             f"the joint model was trained for parts of lengths {model.config.parts}, and {', '.join(PARTS)} have "
-            f"{tuple(PARTS.values())}: train it again (inflate train --descriptor joint)"
+            f"{lengths}: train it again (inflate train --descriptor joint)"
         )
 
 

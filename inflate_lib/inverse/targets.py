@@ -6,17 +6,17 @@ contradicts itself is refused, and so is what no structure of the data set comes
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
 
-from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, PHYSICAL, describe
+from inflate_lib.descriptors import AXIS_POINTS, PHYSICAL, axis_height, basic, describe, get_descriptor
 from inflate_lib.inverse.drawings import read_outline
 from inflate_lib.mechanics import contact
-from inflate_lib.models.reach import AGREE, SHAPE, axis_height, relative_misses
+from inflate_lib.models.reach import AGREE, SIZES
 
-SCALARS = (*SHAPE, *PHYSICAL)
+NUMBERS = (*SIZES, *PHYSICAL)
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class Targets:
         Medial axis, the first point at the origin.
     outline : (k, 2) float, optional
         The drawing that the others were measured on, to be shown; its lowest point is at y = 0.
+    others : Mapping
+        Descriptors that were registered besides, name → number, or (N,) numbers.
     """
 
     height: float | None = None
@@ -43,9 +45,11 @@ class Targets:
     outline: np.ndarray | None = None
     stress: float | None = None
     stretch: float | None = None
+    others: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
-        for name in SCALARS:
+        object.__setattr__(self, "others", {name: _vector(name, value) for name, value in self.others.items()})
+        for name in NUMBERS:
             value = getattr(self, name)
             if value is None:
                 continue
@@ -58,12 +62,12 @@ class Targets:
         if self.axis is not None:
             object.__setattr__(self, "axis", check_axis(self.axis))
         if not self.asked:
-            raise ValueError(f"nothing is asked for: give {', '.join(SCALARS)}, an axis or an outline, one at least")
+            raise ValueError(f"nothing is asked for: give {', '.join(NUMBERS)}, an axis or an outline, one at least")
 
     @property
     def asked(self):
-        """Names of the descriptors that are asked for: "height", "width", "area", "stress", "stretch", "axis"."""
-        return tuple(name for name in (*SCALARS, "axis") if getattr(self, name) is not None)
+        """Names of the descriptors that are asked for."""
+        return (*(name for name in (*NUMBERS, "axis") if getattr(self, name) is not None), *self.others)
 
     @property
     def vectors(self):
@@ -72,16 +76,18 @@ class Targets:
 
     def vector(self, name):
         """(N,) the target of one descriptor, NaN where it is not asked for; an axis says what the height is."""
-        if name in ("box", JOINT):
-            return np.concatenate([self.vector(part) for part in (PARTS if name == JOINT else ("height", "width"))])
-        if name == "height" and self.height is None and self.axis is not None:
-            return np.array([axis_height(self.axis)])
-        value = getattr(self, name)
-        return np.full(PARTS[name], np.nan) if value is None else np.ravel(value)
+        return np.concatenate([self._of_part(part) for part in get_descriptor(name).parts])
 
     def as_dict(self):
         """Plain numbers for JSON, of what is asked for."""
-        return {name: np.asarray(getattr(self, name)).tolist() for name in self.asked}
+        wanted = vars(self) | self.others
+        return {name: np.asarray(wanted[name]).tolist() for name in self.asked}
+
+    def _of_part(self, name):
+        value = (vars(self) | self.others).get(name)
+        if name == "height" and value is None and self.axis is not None:
+            value = axis_height(self.axis)
+        return np.full(get_descriptor(name).length, np.nan) if value is None else np.ravel(value)
 
 
 def as_targets(targets):
@@ -91,7 +97,8 @@ def as_targets(targets):
     ----------
     targets : Targets or Mapping
         Keys "height", "width", "area", "axis" (30 points, or a polyline from the bottom to the top of the shape), and
-        "outline" (corners of a polygon, which gives all four); "stress" and "stretch" go with any of them.
+        "outline" (corners of a polygon, which gives all four); "stress", "stretch" and descriptors that were registered
+        go with any of them.
 
     Raises
     ------
@@ -102,16 +109,18 @@ def as_targets(targets):
         return targets
     if not isinstance(targets, Mapping):
         raise ValueError(f"targets must be a mapping such as {{'height': 1.05}}, not {type(targets).__name__}")
-    known = {*SCALARS, "axis", "outline"}
+    known = {"outline", *(one.name for one in basic())}
     if unknown := [name for name in targets if name not in known]:
         raise ValueError(f"unknown target {unknown[0]!r}; choose among {', '.join(sorted(known))}")
     given = {name: value for name, value in targets.items() if value is not None}
+    own = {one.name for one in fields(Targets)}
+    others = {name: given.pop(name) for name in list(given) if name not in own}
     if "outline" not in given:
-        return Targets(**given)
+        return Targets(**given, others=others)
     physical = {name: given.pop(name) for name in PHYSICAL if name in given}
     if len(given) > 1:
         raise ValueError("an outline gives height, width, area and axis: leave the others out")
-    return replace(outline_targets(given["outline"]), **physical)
+    return replace(outline_targets(given["outline"]), **physical, others=others)
 
 
 def outline_targets(points):
@@ -210,7 +219,7 @@ def read_axis(path):
         raise ValueError(f"{path}: {error}") from None
 
 
-def errors(targets, shape):
+def deviations(targets, shape):
     """How far a shape misses each target, relative to the target.
 
     Parameters
@@ -224,7 +233,22 @@ def errors(targets, shape):
         Name → ``|achieved − target| / target``; for the axis the mean distance of its points over the height that
         the axis belongs to.
     """
-    return {name: float(relative_misses(name, shape.vector(name), targets.vector(name))) for name in targets.asked}
+    return {
+        name: float(get_descriptor(name).error.share(shape.vector(name), targets.vector(name)))
+        for name in targets.asked
+    }
+
+
+def _vector(name, value):
+    """The target (N,) of a descriptor that was registered, or a ValueError."""
+    components = get_descriptor(name).length
+    try:
+        vector = np.ravel(np.asarray(value, dtype=float))
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.size != components or not np.isfinite(vector).all():
+        raise ValueError(f"{name} must be {components} finite number{'s' * (components > 1)}, not {value!r}")
+    return vector
 
 
 def _points(name, points):

@@ -22,7 +22,7 @@ from inflate_lib.mechanics import _sparse
 from inflate_lib.mechanics.inflation import _dilatations, _gather, _pin, _System, _tangent
 from inflate_lib.structures.labels import THICKNESS, VOID, WALL
 
-SCALARS = ("height", "width", "area")  # descriptors that have a sensitivity here
+DIFFERENTIABLE = ("height", "width", "area")  # descriptors that have a sensitivity here
 SQUARE = np.ones((2 * THICKNESS + 1, 2 * THICKNESS + 1))  # that the cavity is grown by to get the wall
 
 
@@ -83,12 +83,12 @@ def descriptor_gradient(nodes, name):
     if name == "area":
         hull = ConvexHull(nodes).vertices
         gradient[hull] = area_gradient(nodes[hull])
-    elif name in SCALARS:
+    elif name in DIFFERENTIABLE:
         direction = 1 if name == "height" else 0
         gradient[nodes[:, direction].argmax(), direction] = 1
         gradient[nodes[:, direction].argmin(), direction] = -1
     else:
-        raise ValueError(f"there are sensitivities of {', '.join(SCALARS)}, not of {name!r}")
+        raise ValueError(f"there are sensitivities of {', '.join(DIFFERENTIABLE)}, not of {name!r}")
     return gradient
 
 

@@ -9,25 +9,25 @@ from pathlib import Path
 
 import numpy as np
 
-from inflate_lib.descriptors import AXIS_POINTS, PARTS, VARIABLES, descriptor_matrix
+from inflate_lib.descriptors import PARTS, axis_height, basic, descriptor_matrix, get_descriptor
 
 FILE = "reach.npz"  # beside the weights
 AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
 REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
-SHAPE = ("height", "width", "area")
-_VARIABLES = [variable for part in PARTS for variable in VARIABLES[part]]
+SIZES = ("height", "width", "area")  # what an axis also says something about
 
 
 def reach_of(data):
     """The table of a data set: its descriptors, of the structures that inflate, as a data set without the rest."""
-    return data[[*_VARIABLES, "converged"]].isel(structure=np.flatnonzero(data["converged"].values))
+    kept = [one.variable for one in basic() if one.variable in data]
+    return data[[*kept, "converged"]].isel(structure=np.flatnonzero(data["converged"].values))
 
 
 def save_reach(data, folder: Path) -> Path:
     """Write the table of a data set beside the weights in a folder, in 32 bits."""
     file = Path(folder) / FILE
     table = reach_of(data)
-    np.savez_compressed(file, **{name: table[name].values.astype(np.float32) for name in _VARIABLES})
+    np.savez_compressed(file, **{one.variable: table[one.variable].values.astype(np.float32) for one in _stored()})
     return file
 
 
@@ -42,12 +42,12 @@ def load_reach(folder: Path):
     import xarray as xr
 
     file = Path(folder) / FILE
-    dims = {"medial_axis": ("structure", "point", "axis")}
     try:
         with np.load(file, allow_pickle=False) as stored:
-            values = {name: (dims.get(name, ("structure",)), stored[name].astype(float)) for name in _VARIABLES}
-        n = len(values["height"][1])
-        return xr.Dataset(values | {"converged": ("structure", np.ones(n, dtype=bool))})
+            table = xr.Dataset(
+                {one.variable: (("structure", *one.sizes), stored[one.variable].astype(float)) for one in _stored()}
+            )
+        return table.assign(converged=("structure", np.ones(table.sizes["structure"], dtype=bool)))
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise ValueError(f"{file} cannot be read; `inflate card` writes it beside the weights ({error})") from None
 
@@ -58,7 +58,7 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
     Parameters
     ----------
     wanted : Mapping
-        Name of each descriptor that is asked for, of :data:`inflate_lib.descriptors.PARTS` → its vector (N,).
+        Name of each descriptor that is asked for, each a basic one → its vector (N,).
     data : xarray.Dataset
         Simulated structures, from :func:`inflate_lib.simulate_dataset`, or their table.
 
@@ -69,20 +69,20 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
     """
     data = data.isel(structure=np.flatnonzero(data["converged"].values))
     values = {name: descriptor_matrix(data, name) for name in wanted}
-    miss = np.max([relative_misses(name, values[name], wanted[name]) for name in wanted], axis=0)
+    miss = np.max([get_descriptor(name).error.share(values[name], wanted[name]) for name in wanted], axis=0)
     nearest = int(np.argmin(miss))
-    scalars = [name for name in PARTS if name in wanted and name != "axis"]
+    scalars = [one.name for one in basic() if one.name in wanted and one.length == 1]
     problem = contradiction(wanted)
     for name in scalars:
         value, least, most = wanted[name][0], values[name].min() * (1 - AGREE), values[name].max() * (1 + AGREE)
         if not problem and not least <= value <= most:
             problem = f"{name} {value:.4g} is out of reach"
     if not problem and miss[nearest] > REACH:
-        together = "the axis" if tuple(wanted) == ("axis",) else "together they"
+        together = "together they" if scalars or len(wanted) > 1 else f"the {next(iter(wanted))}"
         problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
     if not problem:
         return
-    shown = [name for name in PARTS if name in scalars or (name in SHAPE and "axis" in wanted)]
+    shown = [one.name for one in basic() if one.name in scalars or (one.name in SIZES and "axis" in wanted)]
     ranges = {name: descriptor_matrix(data, name) for name in shown}
     reach = ", ".join(f"{name} {v.min():.3f} to {v.max():.3f}" for name, v in ranges.items())
     if len(wanted) == 1 and scalars:
@@ -101,7 +101,7 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
 
 def contradiction(wanted: Mapping[str, np.ndarray]) -> str:
     """Why no shape at all can meet what :func:`check_reach` takes, or an empty text."""
-    height, width, area = (wanted[name][0] if name in wanted else np.nan for name in SHAPE)
+    height, width, area = (wanted[name][0] if name in wanted else np.nan for name in SIZES)
     if "axis" in wanted:
         axis = wanted["axis"].reshape(-1, 2)
         height = axis_height(axis) if np.isnan(height) else height
@@ -114,17 +114,6 @@ def contradiction(wanted: Mapping[str, np.ndarray]) -> str:
     return ""
 
 
-def relative_misses(name, achieved, wanted):
-    """Relative errors of one descriptor's vectors (…, N), as an array (…,).
-
-    ``|achieved − wanted| / wanted``; for the axis the mean distance of its points over the height that it belongs to.
-    """
-    if name != "axis":
-        return np.abs(achieved[..., 0] / wanted[..., 0] - 1)
-    apart = (achieved - wanted).reshape(*achieved.shape[:-1], -1, 2)
-    return np.linalg.norm(apart, axis=-1).mean(axis=-1) / axis_height(wanted.reshape(*wanted.shape[:-1], -1, 2))
-
-
-def axis_height(axis):
-    """Height of the shape that a medial axis (…, 30, 2) belongs to: the axis ends one increment below the top."""
-    return axis[..., -1, 1] * AXIS_POINTS / (AXIS_POINTS - 1)
+def _stored():
+    """The descriptors whose values are stored, the library's own."""
+    return [get_descriptor(part) for part in PARTS]

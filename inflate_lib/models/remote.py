@@ -54,13 +54,13 @@ def write_pack(
     unseen : array, shape (k, 28, 28)
         Structures that are held out.
     models : Mapping
-        Name of a descriptor → ``config`` (TrainingConfig), ``about`` (metadata, JSON), and ``seen`` (n, N) and
-        ``unseen`` (k, N), the descriptors.
+        Name of a descriptor → ``config`` (TrainingConfig), ``about`` (metadata, JSON), and ``seen`` and
+        ``mirrored`` (n, N), the descriptors of the structures and of their mirror images, and ``unseen`` (k, N).
     """
     arrays = {"images": images, "variants": variants.astype(np.int32), "unseen": unseen}
     content = {}
     for name, model in models.items():
-        arrays |= {f"{name}.{part}": model[part] for part in ("seen", "unseen")}
+        arrays |= {f"{name}.{part}": model[part] for part in ("seen", "mirrored", "unseen")}
         content[name] = {"config": model["config"].as_dict(), "about": model["about"]}
     tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
     _storage.write(path, "pack", tensors, content)
@@ -84,7 +84,7 @@ def train_pack(path: Path, name: str, out: Path, device: str = "auto", compile: 
     if name not in models:
         raise ValueError(f"{path} has no model {name!r}; it has {', '.join(models)}")
     arrays = {key: tensor.numpy() for key, tensor in tensors.items()}
-    conditions = augment_descriptors(arrays[f"{name}.seen"], name, arrays["variants"])
+    conditions = augment_descriptors(arrays[f"{name}.seen"], arrays[f"{name}.mirrored"], arrays["variants"])
     pairs = apply_variants(arrays["images"], arrays["variants"]), conditions
     unseen = arrays["unseen"], arrays[f"{name}.unseen"]
     config = replace(TrainingConfig.from_dict(models[name]["config"]), device=device, compile=compile)

@@ -12,10 +12,9 @@ from pathlib import Path
 import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs
 
-from inflate_lib import descriptors
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.datasets.pairs import _about, _held_out, _mean, _part, _variants, training_pairs
-from inflate_lib.descriptors import check_name, descriptor_matrix
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import TrainingConfig, _ranks, train
 from inflate_lib.diffusion.training import choose_device
 from inflate_lib.models.remote import train_and_test, write_pack
@@ -37,15 +36,16 @@ def pack(path: Path, names: Sequence[str], training, data, n_augmented, seed=0, 
     """
     seen, unseen = _part(data, ~_held_out(data)), _part(data, _held_out(data))
     images = seen["image"].values
-    models = {
-        name: {
+    models = {}
+    for name in names:
+        matrix = descriptor_matrix(seen, name)
+        models[name] = {
             "config": training_config(name, training, seed),
             "about": _about(name, data, n_augmented) | {"mean": _mean(name, data), "profile": profile},
-            "seen": descriptor_matrix(seen, name),
+            "seen": matrix,
+            "mirrored": get_descriptor(name).mirrored(matrix),
             "unseen": descriptor_matrix(unseen, name),
         }
-        for name in names
-    }
     write_pack(path, images, _variants(images, n_augmented, seed), unseen["image"].values, models)
 
 
@@ -90,7 +90,8 @@ def trained_model_file(
         while _ranks.share():
             train(*training_pairs(data, descriptor, n_augmented, seed), config, threads=threads)
         return None
-    descriptors_now = digest(descriptor_matrix(data, descriptor))
+    matrix = descriptor_matrix(data, descriptor)
+    descriptors_now = digest(matrix, get_descriptor(descriptor).mirrored(matrix))
     key = about | {"training": config.recipe(), "descriptors": descriptors_now, "code": step_version("model")}
     path = cached("model", key, make, ".safetensors")
     _ranks.share(False)
@@ -167,8 +168,11 @@ def training_config(descriptor, training, seed=0):
     seed : int
     """
     options = {**training, "seed": seed}
-    steps_of = {check_name(name): steps for name, steps in options.pop("steps_of", {}).items()}
+    steps_of = options.pop("steps_of", {})
+    for name in steps_of:
+        get_descriptor(name)  # refuses a name that is none
     if descriptor in steps_of:
         options["steps"] = steps_of[descriptor]
-    options["parts"] = list(descriptors.PARTS.values()) if descriptor == descriptors.JOINT else []
+    one = get_descriptor(descriptor)
+    options["parts"] = [get_descriptor(part).length for part in one.parts] if one.any_part else []
     return TrainingConfig.from_dict(options)

@@ -10,7 +10,7 @@ import numpy as np
 
 from inflate_lib import paths
 from inflate_lib.datasets.pairs import _about, _mean
-from inflate_lib.descriptors import AXIS_POINTS, JOINT, PARTS, VARIABLES, joint_conditions, length, name_of, parts_of
+from inflate_lib.descriptors import columns, get_descriptor, joint_conditions, name_of
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.models import RETRAIN
 from inflate_lib.models.calibration import Calibration
@@ -45,7 +45,7 @@ class Model:
     @property
     def takes(self) -> tuple[str, ...]:
         """The descriptors that it can be told, all of them together; "joint" takes any of its own."""
-        return parts_of(self.name)
+        return get_descriptor(self.name).parts
 
     def draw(self, targets: Mapping[str, Any], n: int = 1, seed: int = 0) -> np.ndarray:
         """Structures that are drawn to inflate to the targets; how near they come, a simulation tells.
@@ -95,34 +95,49 @@ class Model:
         return joint_conditions(descriptor, told) if self.trained.config.parts else told
 
     def _vectors(self, targets):
-        """Targets as vectors (m, N), by their names, in the order of :data:`inflate_lib.descriptors.PARTS`."""
+        """Targets as vectors (m, N), by their names, in the order in which the model takes them."""
         if not isinstance(targets, Mapping) or not targets:
             raise ValueError(f"targets must be a mapping such as {{'{self.takes[0]}': 1.05}}, not {targets!r}")
-        takes = f"the {self.name} model takes {', '.join(self.takes)}" + ", any of them" * (self.name == JOINT)
+        any_part = get_descriptor(self.name).any_part
+        takes = f"the {self.name} model takes {', '.join(self.takes)}" + ", any of them" * any_part
         found = {}
         for name, value in targets.items():
-            if name not in VARIABLES or not set(parts_of(name)) <= set(self.takes):
+            parts = _parts(name)
+            if not parts or not set(parts) <= set(self.takes):
                 raise ValueError(f"{takes}, not {name!r}")
             values = _as_vectors(name, value)
-            columns = np.split(values, np.cumsum([PARTS[part] for part in parts_of(name)])[:-1], axis=1)
-            for part, column in zip(parts_of(name), columns, strict=True):
+            for part in parts:
                 if part in found:
                     raise ValueError(f"{part} is asked for twice")
-                found[part] = column
-        if self.name != JOINT and (missing := [part for part in self.takes if part not in found]):
+                found[part] = values[:, columns(part, parts)]
+        if not any_part and (missing := [part for part in self.takes if part not in found]):
             raise ValueError(f"{takes}: {', '.join(missing)} is not given")
         if len(many := {len(values) for values in found.values()} - {1}) > 1:
             raise ValueError(f"targets must be as many of each descriptor, not {' and '.join(map(str, sorted(many)))}")
         m = max(map(len, found.values()))
-        return {part: np.repeat(found[part], m // len(found[part]), axis=0) for part in PARTS if part in found}
+        return {part: np.repeat(found[part], m // len(found[part]), axis=0) for part in self.takes if part in found}
+
+
+def _parts(name):
+    """The parts of a descriptor; none of what is no descriptor."""
+    try:
+        return get_descriptor(name).parts
+    except ValueError:
+        return ()
 
 
 def _as_vectors(name, value):
     """One or several values of a descriptor as vectors (m, N)."""
-    n = length(name)
-    one = (AXIS_POINTS, 2) if name == "axis" else (n,) if n > 1 else ()
-    wanted = {"axis": "an array (30, 2) or (m, 30, 2)", "box": "(height, width) or an array (m, 2)"}
-    problem = f"{name} must be {wanted.get(name, 'a number or an array (m,)')}, not "
+    descriptor = get_descriptor(name)
+    n, one = descriptor.length, tuple(descriptor.sizes.values())
+    if not one:
+        shapes = "a number or an array (m,)"
+    elif descriptor.is_basic:
+        shape = ", ".join(map(str, one))
+        shapes = f"an array ({shape}) or (m, {shape})"
+    else:
+        shapes = f"({', '.join(descriptor.parts)}) or an array (m, {n})"
+    problem = f"{name} must be {shapes}, not "
     try:
         values = np.asarray(value, dtype=float)
     except (TypeError, ValueError, RuntimeError):

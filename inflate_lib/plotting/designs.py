@@ -3,16 +3,13 @@
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.patches import Rectangle
-from scipy.spatial import ConvexHull
 
+from inflate_lib.descriptors import get_descriptor, registered
 from inflate_lib.mechanics import stress
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.plotting.mechanics import STRETCH_MAP
-from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label, place_axis
+from inflate_lib.plotting.structures import draw_inflated, draw_label
 from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure, picture_axes
-
-NAMES = {"height": "h", "width": "w", "area": "A", "stress": "σ", "stretch": "s", "axis": "axis"}
 
 
 def plot_designs(designs, columns=6, colour=None):
@@ -59,7 +56,7 @@ def plot_designs(designs, columns=6, colour=None):
         middle = (nodes[:, 0].min() + nodes[:, 0].max()) / 2
         bottom = min(nodes[:, 1].min(), 0) - 0.08
         below.set(xlim=(middle - wide / 2, middle + wide / 2), ylim=(bottom, tall))
-        misses = [f"{NAMES[name]} {100 * value:.2f} %" for name, value in one.errors.items()]
+        misses = [f"{get_descriptor(name).symbol} {100 * value:.2f} %" for name, value in one.deviations.items()]
         lines = [", ".join(misses[start : start + 2]) for start in range(0, len(misses), 2)]
         below.set_xlabel("\n".join([*lines, f"stress {one.shape.peak_stress:.3f}"]), fontsize=7)
     if colour:
@@ -70,26 +67,24 @@ def plot_designs(designs, columns=6, colour=None):
 def draw_targets(ax, targets, nodes):
     """What was asked for, drawn over an inflated structure with deformed nodes (n, 2).
 
-    An outline as it is; else height and width as lines or, both together, as a box; an axis with its points. An area
-    has no place in the picture.
+    An outline as it is, in place of the sizes that were measured on it; else each as its descriptor says: height and
+    width as lines or, both together, as a box; an axis with its points. An area has no place in the picture.
     """
-    (left, bottom), (right, top) = nodes.min(axis=0), nodes.max(axis=0)
+    (left, bottom), (right, _) = nodes.min(axis=0), nodes.max(axis=0)
     middle = (left + right) / 2
     style = {"color": COLOURS.target, "linewidth": 1.2, "zorder": 4}
+    names = list(targets.asked)
     if targets.outline is not None:
         closed = np.vstack([targets.outline, targets.outline[:1]])
         shift = [middle - (closed[:, 0].min() + closed[:, 0].max()) / 2, bottom]
         ax.plot(*(closed + shift).T, **style)
-    elif targets.height is not None and targets.width is not None:
-        h, w = targets.height, targets.width
-        ax.add_patch(Rectangle((middle - w / 2, bottom), w, h, fill=False, clip_on=False, linestyle="--", **style))
-    elif targets.height is not None:
-        ax.plot([left - 0.05, right + 0.05], [bottom + targets.height] * 2, linestyle="--", **style)
-    elif targets.width is not None:
-        for x in (middle - targets.width / 2, middle + targets.width / 2):
-            ax.plot([x, x], [bottom, top], linestyle="--", **style)
-    if targets.axis is not None:
-        draw_axis(ax, place_axis(targets.axis, nodes[ConvexHull(nodes).vertices]), size=1.8)
+        names = [name for name in names if get_descriptor(name).is_line or name in targets.others]
+    for one in registered():  # what is put together takes the place of its parts
+        if not one.is_basic and set(one.parts) <= set(names):
+            names = [one.name, *(name for name in names if name not in one.parts)]
+    for name in names:
+        if (draw := get_descriptor(name).draw) is not None:
+            draw(ax, targets.vector(name), nodes, **style)
 
 
 def _known(value):

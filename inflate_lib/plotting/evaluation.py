@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.plotting.style import COLOURS, figure, picture_axes
 
@@ -13,9 +13,7 @@ STYLES = {
     "area": (":", "D", COLOURS.high),
     "axis": ("-", "v", COLOURS.ink),
 }
-#: Panels of scalars: title, descriptor, component.
-SCALARS = (("height $h$", "height", 0), ("width $w$", "width", 0), ("area $A$", "area", 0))
-BOXES = (("box: $h$", "box", 0), ("box: $w$", "box", 1))
+OTHERS = ("-", "P", COLOURS.low)  # of descriptors that were registered
 
 
 def plot_held_out(experiments):
@@ -24,24 +22,26 @@ def plot_held_out(experiments):
     Parameters
     ----------
     experiments : Mapping
-        The five descriptors → experiment with one structure per target.
+        Descriptor → experiment with one structure per target.
     """
-    fig, axes = figure(2, 3, height=11.0)
-    for ax, (title, name, column) in zip(axes.flat, SCALARS + BOXES, strict=False):
-        experiment = experiments[name]
+    shown = sorted(map(get_descriptor, experiments), key=lambda one: one.length)
+    panels = [(one, column) for one in shown for column in ([0] if one.is_line else range(one.length))]
+    fig, axes = figure(-(-len(panels) // 3), 3, height=5.5 * -(-len(panels) // 3), squeeze=False)
+    for ax in axes.flat[len(panels) :]:
+        ax.set_axis_off()
+    for ax, (one, column) in zip(axes.flat, panels, strict=False):
+        experiment = experiments[one.name]
         valid = experiment["valid"].values
+        if one.is_line:
+            _distribution(ax, one.error.factor * errors(experiment, one.name)[valid])
+            ax.set(title=one.name, xlabel=f"mean {one.error.name} ({one.error.unit})", ylabel="structures")
+            continue
         target = experiment["target"].values[valid, column]
-        achieved = descriptor_matrix(experiment, name)[valid, column]
+        achieved = descriptor_matrix(experiment, one.name)[valid, column]
         ax.plot(target, achieved, "o", markersize=2.5, alpha=0.6)
         _diagonal(ax, np.concatenate([target, achieved]))
+        title = f"{one.name} ${one.symbol}$" if one.length == 1 else f"{one.name}: ${one.components[column]}$"
         ax.set(title=title, xlabel="target", ylabel="achieved")
-    ax, experiment = axes.flat[-1], experiments["axis"]
-    distance = errors(experiment, "axis")[experiment["valid"].values]
-    ax.hist(distance, bins=24, color=COLOURS.void, edgecolor=COLOURS.wall, linewidth=0.6)
-    if len(distance):
-        ax.axvline(np.median(distance), color=COLOURS.target, linestyle="--", label="median")
-        ax.legend()
-    ax.set(title="axis", xlabel="mean point distance (px)", ylabel="structures")
     return fig
 
 
@@ -119,15 +119,17 @@ def plot_selection(tables):
         Descriptor → table of :func:`inflate_lib.alternatives.best_of.selection`. Solid marks: ranked by simulation; hollow:
         by the surrogate.
     """
-    scalars = {name: table for name, table in tables.items() if name != "axis"}
-    panels = [(scalars, "n", "candidates $n$", "median error (%)")]
-    panels += [(scalars, "seconds", "core seconds per target", "median error (%)")]
-    if "axis" in tables:
-        panels += [({"axis": tables["axis"]}, "n", "candidates $n$", "median distance (px)")]
+    panels = []
+    for error in dict.fromkeys(get_descriptor(name).error for name in tables):
+        label = f"median {error.noun} ({error.unit})"
+        shown = {name: table for name, table in tables.items() if get_descriptor(name).error is error}
+        panels.append((shown, "n", "candidates $n$", label))
+        if not any(get_descriptor(name).is_line for name in shown):
+            panels.append((shown, "seconds", "core seconds per target", label))
     fig, axes = figure(1, len(panels), height=6.4, squeeze=False)
     for ax, (shown, across, xlabel, ylabel) in zip(axes[0], panels, strict=True):
         for name, table in shown.items():
-            _, marker, colour = STYLES[name]
+            _, marker, colour = STYLES.get(name, OTHERS)
             for by, part in table.groupby("by"):
                 solid = by == "simulation"
                 part = part[np.isfinite(part["median"])]
@@ -176,17 +178,25 @@ def plot_surrogate(pairs):
     pairs : Mapping
         Name of a set of structures → {descriptor: (simulated, predicted)}, each (n,); the first set below the others.
     """
-    fig, axes = figure(1, len(SCALARS), height=6.0)
-    for ax, (title, name, _) in zip(axes, SCALARS, strict=True):
+    names = [name for name in next(iter(pairs.values())) if get_descriptor(name).length == 1]
+    fig, axes = figure(1, len(names), height=6.0)
+    for ax, name in zip(axes, names, strict=True):
         everything = []
         for (label, sets), colour, marker in zip(pairs.items(), (COLOURS.ghost, COLOURS.target), "o^", strict=False):
             simulated, predicted = sets[name]
             ax.plot(simulated, predicted, marker, color=colour, markersize=2.5, alpha=0.6, label=label)
             everything += [simulated, predicted]
         _diagonal(ax, np.concatenate(everything))
-        ax.set(title=title, xlabel="simulated", ylabel="predicted")
+        ax.set(title=f"{name} ${get_descriptor(name).symbol}$", xlabel="simulated", ylabel="predicted")
     axes[0].legend(loc="upper left")
     return fig
+
+
+def _distribution(ax, values):
+    ax.hist(values, bins=24, color=COLOURS.void, edgecolor=COLOURS.wall, linewidth=0.6)
+    if len(values):
+        ax.axvline(np.median(values), color=COLOURS.target, linestyle="--", label="median")
+        ax.legend()
 
 
 def _diagonal(ax, values):

@@ -1,16 +1,16 @@
 """Pictures of the experiments: generated structures against their targets, Figs. 7 to 12."""
 
+import string
+
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.patches import Rectangle
 
-from inflate_lib.descriptors import describe, descriptor_matrix
+from inflate_lib.descriptors import columns, describe, descriptor_matrix, get_descriptor, place_axis
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label
 from inflate_lib.plotting.style import COLOURS, LEVELS, TEXT_WIDTH, figure, picture_axes
 
 MARKERS = ("o", "^", "s")
-SYMBOLS = {"height": "$h$", "width": "$w$", "box": "$(h, w)$", "area": "$A$"}
 
 
 def plot_generated(experiment, descriptor, n_show=5):
@@ -21,7 +21,7 @@ def plot_generated(experiment, descriptor, n_show=5):
     ----------
     experiment : xarray.Dataset
         From :func:`inflate_lib.models.train.run_experiment`.
-    descriptor : {"height", "width", "box", "area"}
+    descriptor : str
     n_show : int
 
     Returns
@@ -34,8 +34,10 @@ def plot_generated(experiment, descriptor, n_show=5):
     pictures, distribution = fig.subfigures(1, 2, width_ratios=[n_show, 1.9])
     axes = pictures.subplots(2 * len(levels), n_show, height_ratios=[0.9, 1] * len(levels), squeeze=False)
     extent = _extent(experiment)
-    if descriptor in ("width", "box"):
-        extent = max(extent[0], 1.05 * experiment["target"].values[:, -1].max()), extent[1]
+    one = get_descriptor(descriptor)
+    if "width" in one.parts:  # its targets have to fit in as well
+        wide = experiment["target"].values[:, columns("width", one.parts)].max()
+        extent = max(extent[0], 1.05 * wide), extent[1]
     for k in levels:
         target = experiment["target"].values[level == k][0]
         for column, row in enumerate(_first_valid(experiment, k, n_show)):
@@ -46,17 +48,17 @@ def plot_generated(experiment, descriptor, n_show=5):
             label = experiment["label"].values[row].astype(float)
             draw_label(above, label)
             deformed = draw_inflated(below, inflate(label), ghost=False)
-            _draw_target(below, descriptor, target, deformed)
+            if one.draw is not None:
+                one.draw(below, target, deformed, color=COLOURS.target, linewidth=1.3, zorder=4)
             achieved = descriptor_matrix(experiment, descriptor)[row]
-            below.set_xlabel(", ".join(f"{value:.3f}" for value in achieved))
+            below.set_xlabel(_words(achieved))
             middle = (deformed[:, 0].min() + deformed[:, 0].max()) / 2
             below.set(xlim=(middle - extent[0] / 2, middle + extent[0] / 2), ylim=(-0.08, extent[1]))
-        wanted = ", ".join(f"{value:.3f}" for value in target)
         first = axes[2 * k, 0]
         first.set_title(" ")  # makes room for the line below, which is wider than its column
-        line = f"({'abc'[k]}) target {SYMBOLS[descriptor]} = {wanted}"
+        line = f"({string.ascii_lowercase[k]}) target ${one.symbol}$" + f" = {_words(target)}" * (len(target) <= 2)
         first.text(0, 1.06, line, transform=first.transAxes, fontsize="medium").set_in_layout(False)
-    _plot_achieved(distribution.subplots(), experiment, descriptor)
+    _plot_achieved(distribution.subplots(), experiment, one)
     return fig
 
 
@@ -89,9 +91,8 @@ def plot_generated_axes(experiment, n_show=3):
             result = inflate(label)
             deformed = draw_inflated(right, result, ghost=False)
             right.collections[0].set_alpha(0.45)
-            base = _axis_base(result)
-            draw_axis(right, describe(result).medial_axis + base, colour=COLOURS.ink, size=2.0)
-            right.plot(*(target + base).T, color=COLOURS.target, linestyle="--", linewidth=1.6, zorder=4)
+            draw_axis(right, place_axis(describe(result).medial_axis, deformed), colour=COLOURS.ink, size=2.0)
+            right.plot(*place_axis(target, deformed).T, color=COLOURS.target, linestyle="--", linewidth=1.6, zorder=4)
             middle = (deformed[:, 0].min() + deformed[:, 0].max()) / 2
             right.set(xlim=(middle - extent[0] / 2, middle + extent[0] / 2), ylim=(-0.08, extent[1]))
         axes[k, 0].set_title(f"axis {k + 1}", loc="left")
@@ -143,7 +144,7 @@ def plot_agreement(experiments):
     Parameters
     ----------
     experiments : dict
-        "height", "width", "area" → experiment.
+        Name of a scalar descriptor → experiment.
     """
     fig, axes = figure(1, len(experiments), height=5.8, squeeze=False)
     for ax, (name, experiment) in zip(axes[0], experiments.items(), strict=True):
@@ -156,7 +157,8 @@ def plot_agreement(experiments):
         shown = np.concatenate([target, achieved[valid]])
         span = np.array([shown.min(), shown.max()])
         ax.plot(span, span, "--", color=COLOURS.target, linewidth=1)
-        ax.set(xlabel=f"target {SYMBOLS[name]}", ylabel=f"achieved {SYMBOLS[name]}")
+        symbol = get_descriptor(name).symbol
+        ax.set(xlabel=f"target ${symbol}$", ylabel=f"achieved ${symbol}$")
     return fig
 
 
@@ -174,37 +176,16 @@ def _extent(experiment):
     return 1.05 * experiment["width"].values[valid].max(), max(1.0, 1.08 * experiment["height"].values[valid].max())
 
 
-def _axis_base(result):
-    """Where the first point of the medial axis lies on the inflated structure."""
-    deformed = result.deformed()
-    lowest = deformed[np.isclose(deformed[:, 1], deformed[:, 1].min(), atol=1e-9)]
-    return np.array([(lowest[:, 0].min() + lowest[:, 0].max()) / 2, lowest[0, 1]])
-
-
-def _draw_target(ax, descriptor, target, deformed):
-    """The target as lines (height, width) or a rectangle (box); an area has no place in the picture."""
-    left, bottom = deformed.min(axis=0)
-    right, top = deformed.max(axis=0)
-    style = {"color": COLOURS.target, "linewidth": 1.3, "linestyle": "--", "zorder": 4}
-    if descriptor == "height":
-        ax.plot([left - 0.05, right + 0.05], [bottom + target[0]] * 2, **style)
-    elif descriptor == "width":
-        middle = (left + right) / 2
-        for x in (middle - target[0] / 2, middle + target[0] / 2):
-            ax.plot([x, x], [bottom, top], **style)
-    elif descriptor == "box":
-        h, w = target
-        ax.add_patch(
-            Rectangle(((left + right - w) / 2, bottom), w, h, fill=False, edgecolor=COLOURS.target, linewidth=1.3,
-                      linestyle="--", zorder=4, clip_on=False)
-        )  # fmt: skip
+def _words(values):
+    """One number or two in words; more are too many."""
+    return ", ".join(f"{value:.3f}" for value in values) if len(values) <= 2 else ""
 
 
 def _plot_achieved(ax, experiment, descriptor):
-    """Distribution of what was achieved, by target."""
+    """Distribution of what was achieved, by target: of two components in their plane, of more only the error."""
     level, valid = experiment["level"].values, experiment["valid"].values
-    achieved, target = descriptor_matrix(experiment, descriptor), experiment["target"].values
-    if descriptor == "box":
+    achieved, target = descriptor_matrix(experiment, descriptor.name), experiment["target"].values
+    if descriptor.length == 2:
         for k in np.unique(level):
             here = valid & (level == k)
             h, w = achieved[here].T
@@ -212,17 +193,28 @@ def _plot_achieved(ax, experiment, descriptor):
             h, w = target[level == k][0]
             ax.plot(w, h, MARKERS[k], color=LEVELS[k], markersize=9, markeredgecolor=COLOURS.ink, markeredgewidth=1.4)
             ax.plot(w, h, "+", color=COLOURS.ink, markersize=9)
-        ax.set(xlabel="achieved $w$", ylabel="achieved $h$", title="(d) all valid structures; large: target")
+        up, across = descriptor.components
+        labels = {"xlabel": f"achieved ${across}$", "ylabel": f"achieved ${up}$"}
+        ax.set(**labels, title="(d) all valid structures; large: target")
         return
+    error = descriptor.error
+    values = achieved[:, 0] if descriptor.length == 1 else error.factor * error.of(achieved, target)
     for k in np.unique(level):
-        reached = achieved[valid & (level == k), 0]
+        reached = values[valid & (level == k)]
         if len(reached) > 1:
             body = ax.violinplot(reached, [k], widths=0.85, showextrema=False)["bodies"][0]
             body.set(facecolor=LEVELS[k], alpha=0.35)
         sideways = np.random.default_rng(0).uniform(-0.14, 0.14, len(reached))
         ax.plot(k + sideways, reached, MARKERS[k], color=LEVELS[k], markersize=2.8, markeredgecolor=COLOURS.ink,
                 markeredgewidth=0.25)  # fmt: skip
-        ax.plot([k - 0.45, k + 0.45], [target[level == k][0, 0]] * 2, color=COLOURS.target, linestyle="--", zorder=4)
-    ax.set_xticks(np.unique(level), [f"{target[level == k][0, 0]:.3f}" for k in np.unique(level)])
-    symbol = SYMBOLS[descriptor]
-    ax.set(xlabel=f"target {symbol}", ylabel=f"achieved {symbol}", title="(d) all valid structures")
+        if descriptor.length == 1:
+            ax.plot(
+                [k - 0.45, k + 0.45], [target[level == k][0, 0]] * 2, color=COLOURS.target, linestyle="--", zorder=4
+            )
+    symbol = descriptor.symbol
+    ax.set(xlabel=f"target ${symbol}$", ylabel=f"achieved ${symbol}$", title="(d) all valid structures")
+    if descriptor.length == 1:
+        ax.set_xticks(np.unique(level), [f"{target[level == k][0, 0]:.3f}" for k in np.unique(level)])
+    else:
+        ax.set_xticks(np.unique(level), [f"{k + 1}" for k in np.unique(level)])
+        ax.set_ylabel(f"{error.noun} ({error.unit})")

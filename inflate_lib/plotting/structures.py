@@ -9,6 +9,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Rectangle
 from scipy.spatial import ConvexHull
 
+from inflate_lib.descriptors import axis_height, get_descriptor, place_axis
 from inflate_lib.plotting.style import COLOURS, HATCHES, LEVELS, LINE_STYLES, figure, picture_axes
 
 LABEL_COLOURS = ListedColormap(["white", COLOURS.wall, COLOURS.void])
@@ -167,12 +168,6 @@ def _half_chord(hull, y, middle):
     return max(x, default=middle) - middle
 
 
-def place_axis(medial_axis, hull):
-    """A medial axis (30, 2), whose first point is the origin, put back where it was in the hull that it came from."""
-    base = hull[np.isclose(hull[:, 1], hull[:, 1].min(), atol=1e-9), 0]
-    return medial_axis + [(base.min() + base.max()) / 2, hull[:, 1].min()]
-
-
 def draw_axis(ax, points, colour=COLOURS.target, size=2.6, **style):
     """The points of a medial axis, (30, 2), with a line through them."""
     ax.plot(*points.T, "o-", color=colour, markersize=size, linewidth=0.8, markeredgecolor="white",
@@ -212,14 +207,15 @@ def plot_clusters(matrices, clusters):
     ``matrices`` and ``clusters`` map the descriptors' names to arrays (n, N) and to `inflate_lib.experiments.targets.Clusters`.
     The outermost two structures in a thousand lie beyond the limits of the panels.
     """
-    labels = {"height": "height $h$", "width": "width $w$", "box": "width $w$", "area": "hull area $A$"}
-    fig, axes = figure(1, 4, height=6.0)
-    for ax, letter, name in zip(axes, "abcd", labels, strict=True):
-        draw = _cluster_scatter if name == "box" else _cluster_histogram
+    fig, axes = figure(1, len(clusters), height=6.0)
+    for ax, letter, name in zip(axes, "abcdefgh", clusters, strict=False):
+        *above, across = (get_descriptor(part) for part in get_descriptor(name).parts)
+        draw = _cluster_scatter if above else _cluster_histogram
         draw(ax, matrices[name], clusters[name])
-        ax.set_xlabel(f"{labels[name]}\n({letter})")
+        ax.set_xlabel(f"{across.title} ${across.symbol}$\n({letter})")
+        for one in above:
+            ax.set_ylabel(f"{one.title} ${one.symbol}$")
     axes[0].set_ylabel("structures")
-    axes[2].set_ylabel("height $h$")
     return fig
 
 
@@ -228,8 +224,7 @@ def plot_chosen_axes(axes, chosen):
     fig, (cloud, plane) = figure(1, 2, width=14, height=7.5, width_ratios=[1, 1.6])
     for axis in axes[:: max(1, len(axes) // 400)]:
         cloud.plot(*axis.T, color=COLOURS.ghost, linewidth=0.4, alpha=0.3)
-    points = axes.shape[1]
-    height = axes[:, -1, 1] * points / (points - 1)  # an axis ends one increment below the top
+    height = axis_height(axes)
     lean = axes[:, :, 0].mean(axis=1) / height
     plane.plot(lean, height, ".", color=COLOURS.ghost, markersize=1.5, rasterized=True)
     for number, row in enumerate(chosen):

@@ -12,7 +12,6 @@ from inflate_lib.structures.labels import FRAME, THICKNESS, as_grey, main_compon
 
 MAX_SHIFT = 3
 PAPER_SAMPLES = 71_616
-AXIS = slice(-60, None)  # the thirty points of a medial axis, alone or at the end of all descriptors together
 
 
 def augment(images, n_samples=None, seed=0, max_shift=MAX_SHIFT):
@@ -103,25 +102,14 @@ def apply_variants(images, variants):
     return moved
 
 
-def augment_descriptors(matrix, name, variants):
-    """Descriptors of the variants, (m, N), from those of the originals, ``matrix`` (n, N).
+def augment_descriptors(matrix, mirrored, variants):
+    """Descriptors of the variants, (m, N): those of the original, whatever its shift, or of its mirror image.
 
-    Height, width, bounding box and hull area are those of the original; the medial axis (``name="axis"``, and the end
-    of ``"joint"``) of a flipped structure is mirrored.
+    Parameters
+    ----------
+    matrix, mirrored : (n, N) array_like
+        Of the originals, and of their mirror images (:meth:`inflate_lib.descriptors.Descriptor.mirrored`).
+    variants : (m, 4) int
     """
     structure, flip = np.asarray(variants)[:, :2].T
-    matrix = np.asarray(matrix)[structure]
-    if name in ("axis", "joint"):
-        flipped = flip == 1
-        matrix[flipped, AXIS] = mirror_axis(matrix[flipped, AXIS])
-    return matrix
-
-
-def mirror_axis(axes):
-    """Medial axes mirrored left to right: (..., 60), point-major, or (..., 30, 2); the first point is the origin."""
-    mirrored = np.array(axes, float)
-    if mirrored.shape[-1] == 2:
-        mirrored[..., 0] *= -1
-    else:
-        mirrored[..., 0::2] *= -1
-    return mirrored
+    return np.where(flip[:, None] == 1, np.asarray(mirrored)[structure], np.asarray(matrix)[structure])

@@ -12,7 +12,9 @@ from sklearn.metrics import r2_score
 from inflate_lib import paths
 from inflate_lib.alternatives.best_of import best_of, chances, selection, weighted_quantile
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.experiments.metrics import bootstrap, errors, hausdorff, misses, point_distances, r_squared
+from inflate_lib.descriptors import mirror_axis
+from inflate_lib.descriptors.errors import hausdorff, point_distances
+from inflate_lib.experiments.metrics import bootstrap, errors, misses, r_squared
 from inflate_lib.experiments.tables import (
     Failure,
     accuracy,
@@ -23,7 +25,7 @@ from inflate_lib.experiments.tables import (
     with_interval,
 )
 from inflate_lib.experiments.variety import diversity, mean_pairwise, nearest, novelty, pairwise
-from inflate_lib.structures.augmentation import apply_variants, augment, mirror_axis
+from inflate_lib.structures.augmentation import apply_variants, augment
 from inflate_lib.structures.labels import PIXEL
 from inflate_lib.structures.sources import load_sevens
 

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from inflate_lib.descriptors import get_descriptor
 from inflate_lib.experiments.targets import (
-    COMPONENTS,
     LEVELS,
+    TABULATED,
     choose_axes,
     compare_with_paper,
     deviation_from_paper,
@@ -74,8 +75,8 @@ def reference_centroids():
     """Table 1 in the form of centroids, built from the file alone."""
     table = paper_targets().set_index(["descriptor", "component", "level"]).paper
     return {
-        name: np.array([[table[name, component, level] for component in components] for level in LEVELS])
-        for name, components in COMPONENTS.items()
+        name: np.array([[table[name, part, level] for part in get_descriptor(name).parts] for level in LEVELS])
+        for name in TABULATED
     }
 
 

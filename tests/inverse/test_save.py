@@ -24,7 +24,7 @@ from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.refine import Rejection
 from inflate_lib.inverse.save import mould, opened_grid, outline_svg, part, save_designs, search_record, write_stl
 from inflate_lib.inverse.search import Design, Designs, Stop
-from inflate_lib.inverse.targets import Targets, errors
+from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.io.pictures import read_images
 from inflate_lib.io.vtk import write_vtk
 from inflate_lib.structures.labels import FRAME, VOID, WALL
@@ -57,7 +57,7 @@ def designs():
     for number, image in enumerate(DIGITS[:2]):
         result = inflate(label_image(image), n_steps=2)
         shape = describe(result)
-        miss = errors(targets, shape)
+        miss = deviations(targets, shape)
         origin = {"seed": 1, "row": number, "conditions": [0.9, float("nan")], "drawing": "as drawn"}
         label = label_image(image)
         found.append(Design(label, result, shape, miss, number == 0, number, origin))
@@ -161,7 +161,7 @@ def test_every_file_is_read_by_others(designs, tmp_path):
     assert rows["within"].tolist() == [True, False]
     for one, folder, row in zip(designs.designs, folders, rows.to_dict("records"), strict=True):
         assert row["height"] == pytest.approx(one.shape.height, rel=1e-7)
-        assert row["error width (%)"] == pytest.approx(100 * one.errors["width"], rel=1e-6)
+        assert row["error width (%)"] == pytest.approx(100 * one.deviations["width"], rel=1e-6)
         (image,), _ = read_images(folder / "structure.png")
         assert np.array_equal(label_image(image), one.label)  # `inflate simulate` gets the same structure
         for name in ("part", "mould"):

@@ -12,19 +12,20 @@ from scipy import ndimage
 from inflate_lib import describe, design, inflate, label_image, paths
 from inflate_lib.cli import app
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.descriptors import PARTS
+from inflate_lib.descriptors import PARTS, get_descriptor
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.inverse import search as searching
 from inflate_lib.inverse.constraints import Constraints, is_symmetric, mirrored
 from inflate_lib.inverse.refine import Rejection, attempt, refine, with_flipped
-from inflate_lib.inverse.search import MODELS, Stop, corrected, diverse, find_model
-from inflate_lib.inverse.targets import Targets, errors
+from inflate_lib.inverse.search import Stop, corrected, diverse, find_model, models_in_order
+from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.mechanics import stress
 from inflate_lib.plotting.designs import plot_designs
 from inflate_lib.structures.labels import FRAME, PIXEL, VOID, WALL
 from inflate_lib.structures.sources import load_sevens
 
 DIGITS = load_sevens("digits").images
+LENGTHS = tuple(get_descriptor(part).length for part in PARTS)
 
 
 @pytest.fixture(scope="module")
@@ -69,12 +70,12 @@ def test_designs_are_what_they_claim(search, data):
         assert np.array_equal(one.label, label_image(DIGITS[one.candidate]))
         again = describe(inflate(one.label))
         assert (again.height, again.width) == pytest.approx((one.shape.height, one.shape.width), rel=1e-9)
-        assert one.errors["height"] == pytest.approx(abs(again.height / targets["height"] - 1), abs=1e-9)
-        assert one.error == max(one.errors.values()) <= 0.05
+        assert one.deviations["height"] == pytest.approx(abs(again.height / targets["height"] - 1), abs=1e-9)
+        assert one.error == max(one.deviations.values()) <= 0.05
     assert [one.error for one in found.designs] == sorted(one.error for one in found.designs)
     assert f"3 of 3 designs are within 0.05 of every target, chosen from {found.within}" in found.summary()
     table = found.table()
-    assert table["error height (%)"].tolist() == [100 * one.errors["height"] for one in found.designs]
+    assert table["error height (%)"].tolist() == [100 * one.deviations["height"] for one in found.designs]
 
 
 def test_every_candidate_is_accounted_for(search, data):
@@ -226,7 +227,7 @@ def test_near_misses_are_brought_nearer(search, model, data):
             label = label_image(with_flipped(label, row, column))
         assert np.array_equal(label, one.label)
         again = describe(inflate(one.label))
-        assert errors(found.targets, again) == pytest.approx(one.errors, abs=1e-9)
+        assert deviations(found.targets, again) == pytest.approx(one.deviations, abs=1e-9)
     assert {one.candidate for one in found.pool} >= set(drawn)
 
 
@@ -242,7 +243,7 @@ def test_refinement_never_makes_it_worse_and_keeps_the_demands(data):
             shape = describe(result)
             targets = Targets(height=1.03 * shape.height, width=shape.width)
             better, inflated, flipped = refine(label, result, targets, demand, goal=0.01, tries=15, seed=1)
-            before, after = (max(errors(targets, describe(one)).values()) for one in (result, inflated))
+            before, after = (max(deviations(targets, describe(one)).values()) for one in (result, inflated))
             assert not demand.broken_by(better) and not demand.broken_when_inflated(inflated)
             assert after < before if flipped else np.array_equal(better, label)
             assert np.allclose(inflate(better).displacement, inflated.displacement, atol=1e-9)
@@ -270,7 +271,7 @@ def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
 
     def weights(name):
         n = {"joint": 65, "axis": 60, "box": 2}.get(name, 1)
-        config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()) if n == 65 else ())
+        config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS if n == 65 else ())
         model = TrainedModel(config.make_net(n), config, np.zeros(n), np.ones(n), metadata={"descriptor": name})
         model.save(tmp_path / "laptop" / f"{name}.safetensors")
 
@@ -290,12 +291,12 @@ def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
     assert found == "joint" and len(model.condition_min) == 65
     (tmp_path / "laptop" / "height.safetensors").unlink()
     assert find_model(Targets(height=1.0))[0] == "joint"
-    assert set(MODELS) == {"joint", "axis", "box", "area", "width", "height"}
+    assert [one.name for one in models_in_order()] == ["axis", "box", "area", "width", "height"]
 
 
 def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
     """The whole way with untrained weights: nothing usable may come out, and then that is what it says."""
-    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()))
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS)
     model = TrainedModel(config.make_net(65).eval(), config, np.full(65, -2.0), np.full(65, 2.0))
     options = {"sampling": {"sampler": "ddim", "steps": 2}, "max_candidates": 8, "say": None, "data": data}
     found = design({"height": 0.9}, 2, model=("joint", model), **options)
@@ -306,7 +307,7 @@ def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
 
 def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, model, monkeypatch):
     monkeypatch.setattr(searching, "BATCH", 16)
-    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=tuple(PARTS.values()))
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS)
     model.config, model.condition_min, model.condition_max = config, np.full(65, -5.0), np.full(65, 5.0)
     height, stress = float(np.median(data.height)), float(np.median(data.peak_stress))
     options = {"data": data, "max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1}
@@ -318,7 +319,7 @@ def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, 
     assert found.within >= 1
     for one in found.pool:
         assert abs(one.shape.height / height - 1) <= 0.1 and abs(one.shape.peak_stress / stress - 1) <= 0.1
-        assert one.errors["stress"] == pytest.approx(abs(one.shape.peak_stress / stress - 1), abs=1e-12)
+        assert one.deviations["stress"] == pytest.approx(abs(one.shape.peak_stress / stress - 1), abs=1e-12)
     assert "error stress (%)" in found.table()
 
 
@@ -444,6 +445,6 @@ def test_an_interrupted_search_says_so_and_writes_nothing(run, tmp_path, monkeyp
     assert os.listdir() == []
 
 
-def test_errors_of_nothing_are_none(data):
-    assert errors(Targets(height=1.0), describe(np.array([(0, 0), (1, 0), (0, 1.0)]))) == {"height": 0}
+def test_deviations_of_nothing_are_none(data):
+    assert deviations(Targets(height=1.0), describe(np.array([(0, 0), (1, 0), (0, 1.0)]))) == {"height": 0}
     assert FRAME == 28

@@ -8,17 +8,17 @@ from PIL import Image, ImageDraw
 
 from inflate_lib import describe
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.descriptors import joint_conditions
+from inflate_lib.descriptors import axis_height, joint_conditions
 from inflate_lib.inverse.drawings import read_outline
 from inflate_lib.inverse.targets import (
     Targets,
     as_targets,
-    errors,
+    deviations,
     outline_targets,
     read_axis,
     read_targets,
 )
-from inflate_lib.models.reach import axis_height, check_reach, contradiction
+from inflate_lib.models.reach import check_reach, contradiction
 from inflate_lib.structures.sources import load_sevens
 
 
@@ -92,7 +92,7 @@ def test_the_outline_of_a_structure_asks_for_that_structure(tmp_path, data):
     points = " ".join(f"{x:.17g},{-y:.17g}" for x, y in 40 * hull)
     shape = describe(result)
     drawn = outline_targets(read_outline(svg(tmp_path / "a.svg", f'<polygon points="{points}"/>'), unit=40))
-    assert max(errors(drawn, shape).values()) < 1e-12
+    assert max(deviations(drawn, shape).values()) < 1e-12
     check_reach(drawn.vectors, data)
 
 
@@ -122,10 +122,10 @@ def test_what_is_not_asked_is_nan():
         assert np.array_equal(alone, joint_conditions(name, [[value]])[0], equal_nan=True)
 
 
-def test_errors_are_relative_and_zero_where_met(data):
+def test_deviations_are_relative_and_zero_where_met(data):
     shape = describe(np.array([(0, 0), (1, 0), (1, 2), (0, 2.0)]))
     targets = Targets(height=2.5, width=1, area=1.6, axis=[(0, 0), (0.2, 2)])
-    found = errors(targets, shape)
+    found = deviations(targets, shape)
     assert found["height"] == pytest.approx(0.2) and found["width"] == 0 and found["area"] == pytest.approx(0.25)
     assert found["axis"] == pytest.approx(np.mean(0.2 * np.arange(30) / 30) / 2)
 

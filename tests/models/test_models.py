@@ -18,7 +18,7 @@ from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.pairs import training_pairs
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import held_out
-from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, descriptor_matrix, joint_conditions
+from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, descriptor_matrix, get_descriptor, joint_conditions
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.training import simple_loss
 from inflate_lib.models import RETRAIN, train, weights
@@ -69,7 +69,7 @@ def test_no_variant_of_a_held_out_structure_is_trained_on(data, n_augmented):
 def test_the_joint_descriptor_holds_the_others_side_by_side(data):
     joint = descriptor_matrix(data, "joint")
     assert joint.shape == (40, 65)
-    lengths = DESCRIPTORS | PHYSICAL
+    lengths = {name: get_descriptor(name).length for name in (*DESCRIPTORS, *PHYSICAL)}
     for name in lengths:
         told = joint_conditions(name, descriptor_matrix(data, name))
         asked = ~np.isnan(told)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflate_lib import load_model, paths, simulated_sevens
-from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, length
+from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, get_descriptor
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.reach import load_reach, reach_of, save_reach
@@ -27,9 +27,10 @@ def ask(reach):
     """Untrained models of every descriptor, by name; each sees what it is told."""
     models = {}
     for name in (*DESCRIPTORS, JOINT):
-        parts = tuple(PARTS.values()) if name == JOINT else ()
+        parts = tuple(get_descriptor(part).length for part in PARTS) if name == JOINT else ()
         config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=parts)
-        low, high = np.full(length(name), -0.5), np.full(length(name), 2.0)
+        n = get_descriptor(name).length
+        low, high = np.full(n, -0.5), np.full(n, 2.0)
         net, random = config.make_net(len(low)).eval(), torch.Generator().manual_seed(0)
         for weights in net.parameters():  # an untrained network answers zero
             weights.data += 0.1 * torch.randn(weights.shape, generator=random)

@@ -1,0 +1,333 @@
+"""The descriptors: what each is called, how it is measured, mirrored, compared with a target, and drawn.
+
+Whatever is true of one descriptor only stands here; the rest of the library goes through :func:`get_descriptor`.
+"""
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from inflate_lib._cache import digest
+from inflate_lib.descriptors.errors import POINT_DISTANCE, RELATIVE, PointDistance, RelativeError
+from inflate_lib.descriptors.shape import AXIS_POINTS, medial_axis, mirror_axis, place_axis
+from inflate_lib.mechanics.stress import largest_stretch, von_mises
+
+_registry: dict[str, "Descriptor"] = {}
+
+
+@dataclass(frozen=True)
+class Descriptor:
+    """One descriptor of deformed shapes, as a model is conditioned on it: a vector of N components.
+
+    Attributes
+    ----------
+    name : str
+        By which it is asked for.
+    symbol : str
+        In formulas and figures, without dollar signs.
+    measure : callable
+        ``measure(shape)`` of a :class:`inflate_lib.descriptors.Shape` → a number, or an array of the shape `sizes`.
+    title : str
+        In figures; by default the name.
+    meaning : str
+        In data sets, one line; by default the title.
+    components : tuple of str
+        Name of each component, for tables and messages; by default the symbol of the only one.
+    unit : str
+        Of the components: "side" of the unit square, "side²", or "1".
+    variable : str
+        Of data sets, which holds the values; by default the name.
+    sizes : Mapping
+        Dimensions of that variable besides ``structure``, and their sizes; by default none, or one for the components.
+    of_nodes : bool
+        Whether the deformed nodes alone tell it. If not, it is NaN where only these are known.
+    flip : callable, optional
+        ``flip(vectors)`` (n, N) → (n, N) for mirrored structures; by default they have the same values.
+    error : RelativeError or PointDistance
+        How the distance from a target is measured and printed.
+    draw : callable, optional
+        ``draw(ax, target, nodes, **style)`` draws a target (N,) over the picture of deformed nodes (n, 2).
+    parts : tuple of str
+        Names of the descriptors that this one is put together from; it is measured, mirrored and stored as they are.
+    any_part : bool
+        A model of it can be asked for any combination of the parts.
+    """
+
+    name: str
+    symbol: str
+    measure: Callable | None = None
+    title: str = ""
+    meaning: str = ""
+    components: tuple[str, ...] = ()
+    unit: str = "1"
+    variable: str = ""
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    of_nodes: bool = True
+    flip: Callable | None = None
+    error: RelativeError | PointDistance = RELATIVE
+    draw: Callable | None = None
+    parts: tuple[str, ...] = ()
+    any_part: bool = False
+
+    def __post_init__(self):
+        if (self.measure is None) != bool(self.parts):
+            raise ValueError(f"descriptor {self.name}: either a function measures it, or it has parts")
+        if self.parts:
+            components = tuple(name for part in self.parts for name in get_descriptor(part).components)
+        else:
+            components = self.components or (self.symbol,)
+        sizes = self.sizes or ({f"{self.name}_component": len(components)} if len(components) > 1 else {})
+        if not self.parts and np.prod([*sizes.values()], dtype=int) != len(components):
+            raise ValueError(f"descriptor {self.name}: {len(components)} components do not fill the sizes {sizes}")
+        for name, value in {
+            "title": self.title or self.name,
+            "meaning": self.meaning or self.title or self.name,
+            "components": components,
+            "sizes": sizes,
+            "variable": self.variable or self.name,
+            "parts": self.parts or (self.name,),
+        }.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def length(self):
+        """N, the number of components."""
+        return len(self.components)
+
+    @property
+    def is_basic(self):
+        """Whether it is measured, not put together from parts."""
+        return self.measure is not None
+
+    @property
+    def is_line(self):
+        """Whether the components are the coordinates of the points of one line."""
+        return isinstance(self.error, PointDistance)
+
+    def of(self, shape):
+        """The value for a :class:`inflate_lib.descriptors.Shape`, in the shape of `sizes`."""
+        shape_of_value = tuple(self.sizes.values())
+        if shape.result is None and not self.of_nodes:
+            return np.full(shape_of_value, np.nan)
+        return np.reshape(np.asarray(self.measure(shape), dtype=float), shape_of_value)
+
+    def mirrored(self, vectors):
+        """(n, N) the descriptors of mirrored structures, from those of the structures."""
+        if self.is_basic:
+            return vectors if self.flip is None else self.flip(vectors)
+        return np.column_stack(
+            [get_descriptor(part).mirrored(vectors[:, columns(part, self.parts)]) for part in self.parts]
+        )
+
+
+def get_descriptor(name):
+    """The descriptor of that name, or of several that are asked for together: "height+area".
+
+    Raises
+    ------
+    ValueError
+        For an unknown name; it lists them all.
+    """
+    if name in _registry:
+        return _registry[name]
+    parts = tuple(name.split("+")) if isinstance(name, str) else ()
+    if len(parts) < 2 or not set(parts) <= {one.name for one in basic()}:
+        raise ValueError(f"unknown descriptor {name!r}; choose one of {', '.join(_registry)}")
+    return Descriptor(name, name, parts=parts)
+
+
+def name_of(parts):
+    """What basic descriptors, in any order, are called together: "box", "joint", "height+area"."""
+    together = [one.name for one in registered() if set(one.parts) == set(parts)]
+    return together[0] if together else "+".join(one.name for one in basic() if one.name in parts)
+
+
+def register(descriptor):
+    """Make a descriptor known, so that data sets, training, experiments, designs and figures take it by its name.
+
+    It has to be registered before structures are simulated that are to have it. A descriptor that was registered
+    before may be replaced, the library's own may not.
+
+    Returns
+    -------
+    Descriptor
+
+    Raises
+    ------
+    ValueError
+        Where the name, or the variable of data sets, is one of the library's.
+    """
+    if descriptor.name in OWN:
+        raise ValueError(f"{descriptor.name} is a descriptor of the library's own; choose another name")
+    if descriptor.is_basic and descriptor.variable in TAKEN:
+        raise ValueError(f"descriptor {descriptor.name}: data sets have a variable {descriptor.variable} already")
+    return _add(descriptor)
+
+
+def registered():
+    """All descriptors, in order of registration."""
+    return tuple(_registry.values())
+
+
+def basic():
+    """Those that are measured, not put together from parts."""
+    return tuple(one for one in registered() if one.is_basic)
+
+
+def added_version():
+    """Hash of the sources of what measures the descriptors that are not the library's own; empty where there are none.
+
+    It belongs into the keys of results that hold descriptors. It does not see a change of what ``measure`` calls.
+    """
+    sources = [part for one in basic() if one.name not in OWN for part in (one.name, _source(one))]
+    return digest(*sources)[:16] if sources else ""
+
+
+def columns(name, among):
+    """(N,) int: where the components of a descriptor stand among those of several, one descriptor after another."""
+    owner = np.repeat(among, [get_descriptor(part).length for part in among])
+    return np.flatnonzero(np.isin(owner, get_descriptor(name).parts))
+
+
+def _add(descriptor):
+    _registry[descriptor.name] = descriptor
+    return descriptor
+
+
+def _source(descriptor):
+    try:
+        return inspect.getsource(descriptor.measure)
+    except (OSError, TypeError):
+        raise ValueError(
+            f"descriptor {descriptor.name}: the source of its function cannot be found; define it with def in a file "
+            "or a notebook, so that results that are kept can tell whether it has changed"
+        ) from None
+
+
+# --- the library's own ---------------------------------------------------------------------------------------------
+
+
+def _height(shape):
+    return np.ptp(shape.nodes[:, 1])
+
+
+def _width(shape):
+    return np.ptp(shape.nodes[:, 0])
+
+
+def _area(shape):
+    return shape.hull_area
+
+
+def _axis(shape):
+    return medial_axis(shape.hull)
+
+
+def _stress(shape):
+    return von_mises(shape.result).max()
+
+
+def _stretch(shape):
+    return largest_stretch(shape.result).max()
+
+
+def _draw_height(ax, target, nodes, **style):
+    """A line as high as the target above the lowest node."""
+    (left, bottom), (right, _) = nodes.min(axis=0), nodes.max(axis=0)
+    ax.plot([left - 0.05, right + 0.05], [bottom + target[0]] * 2, linestyle="--", **style)
+
+
+def _draw_width(ax, target, nodes, **style):
+    """Two lines as far apart as the target, about the middle."""
+    (left, bottom), (right, top) = nodes.min(axis=0), nodes.max(axis=0)
+    for x in ((left + right - target[0]) / 2, (left + right + target[0]) / 2):
+        ax.plot([x, x], [bottom, top], linestyle="--", **style)
+
+
+def _draw_box(ax, target, nodes, color=None, **style):
+    """A rectangle on the lowest node."""
+    (left, bottom), (right, _) = nodes.min(axis=0), nodes.max(axis=0)
+    (h, w), middle = target, (left + right) / 2
+    x, y = middle + w / 2 * np.array([-1, 1, 1, -1]), bottom + h * np.array([0, 0, 1, 1])
+    ax.fill(x, y, fill=False, edgecolor=color, linestyle="--", clip_on=False, **style)
+
+
+def _draw_axis(ax, target, nodes, **style):
+    """The points, where those of the structure's own axis begin."""
+    points = place_axis(target.reshape(-1, 2), nodes)
+    own = {"marker": "o", "markersize": 1.8, "markeredgecolor": "white", "markeredgewidth": 0.3}
+    own |= {"linewidth": 0.8, "zorder": 2}
+    ax.plot(*points.T, **(style | own))
+
+
+_add(Descriptor("height", "h", _height, meaning="deformed height h", unit="side", draw=_draw_height))
+_add(Descriptor("width", "w", _width, meaning="deformed width w", unit="side", draw=_draw_width))
+_add(Descriptor("box", "(h, w)", title="bounding box", unit="side", parts=("height", "width"), draw=_draw_box))
+_add(
+    Descriptor(
+        "area",
+        "A",
+        _area,
+        title="hull area",
+        meaning="area A of the deformed convex hull",
+        unit="side²",
+        variable="hull_area",
+    )
+)
+# Stress and stretch are told as they are: over MNIST's sevens their skewness is 0.5 and 0.3. Logarithms of the
+# stress have one of -0.5, and would leave less of the scaled range [0, 1] to the bulk, not more.
+_add(
+    Descriptor(
+        "stress",
+        "σ",
+        _stress,
+        meaning="largest von Mises stress of any element, in the units of lambda and mu",
+        components=("stress",),
+        variable="peak_stress",
+        of_nodes=False,
+    )
+)
+_add(
+    Descriptor(
+        "stretch",
+        "s",
+        _stretch,
+        meaning="largest principal stretch of any element",
+        components=("stretch",),
+        variable="peak_stretch",
+        of_nodes=False,
+    )
+)
+_add(
+    Descriptor(
+        "axis",
+        "axis",
+        _axis,
+        title="medial axis",
+        meaning="medial axis of the deformed shape, bottom to top, first point at the origin",
+        components=tuple(f"{x} of point {k}" for k in range(AXIS_POINTS) for x in "xy"),
+        unit="side",
+        variable="medial_axis",
+        sizes={"point": AXIS_POINTS, "axis": 2},
+        flip=mirror_axis,
+        error=POINT_DISTANCE,
+        draw=_draw_axis,
+    )
+)
+_add(Descriptor("joint", "joint", parts=("height", "width", "area", "stress", "stretch", "axis"), any_part=True))
+
+OWN = frozenset(_registry)
+#: Variables of data sets that no further descriptor may have.
+TAKEN = frozenset(one.variable for one in basic()) | {
+    "image", "label", "converged", "reason", "factorisations", "self_contact", "contact_step", "level", "target",
+    "valid", "axis",
+}  # fmt: skip
+#: The paper's five descriptors, each with a model of its own.
+DESCRIPTORS = ("height", "width", "box", "area", "axis")
+#: The physical ones, which no model of their own is trained for.
+PHYSICAL = ("stress", "stretch")
+#: The descriptor that one model takes any combination of the parts of; the axis is the last of them.
+JOINT = "joint"
+PARTS = _registry[JOINT].parts

@@ -1,0 +1,130 @@
+"""What descriptors are measured on: the deformed nodes, their convex hull, and the inflation that they come from."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+AXIS_POINTS = 30
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A deformed structure, in lengths of the unit square, in the fixed frame: x to the right and y upwards.
+
+    Attributes
+    ----------
+    nodes : (n, 2) float
+        Deformed nodes.
+    hull : (k, 2) float
+        Corners of their convex hull, counter-clockwise.
+    hull_area : float
+    result : Inflation or None
+        The inflation at this one load step; None for a shape that is known by its nodes alone.
+    """
+
+    nodes: np.ndarray
+    hull: np.ndarray
+    hull_area: float
+    result: object = None
+
+    @classmethod
+    def of(cls, result, step=-1):
+        """The shape of an inflation at a load step, or of nodes; see :func:`inflate_lib.describe`."""
+        if hasattr(result, "deformed"):
+            n_steps = len(result.load_steps)
+            if not isinstance(step, int | np.integer) or not -n_steps <= step < n_steps:
+                raise ValueError(f"step must be one of the {n_steps} load steps, not {step!r}")
+            nodes, inflation = result.deformed(step), replace(result, displacement=result.displacement[[step]])
+            if not np.isfinite(nodes).all():
+                raise ValueError(f"the structure has no equilibrium to describe: {result.reason}")
+        else:
+            nodes, inflation = _checked(result), None
+        try:
+            hull = ConvexHull(nodes)
+        except QhullError:
+            raise ValueError("the deformed nodes span no area, so they have no convex hull") from None
+        return cls(nodes, nodes[hull.vertices], float(hull.volume), inflation)
+
+
+def _checked(nodes):
+    try:
+        nodes = np.asarray(nodes, dtype=float)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"nodes: not an array of numbers ({error})") from None
+    if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) < 3:
+        raise ValueError(f"nodes: coordinates of shape (n, 2) of three nodes or more are needed, not {nodes.shape}")
+    if not np.isfinite(nodes).all():
+        raise ValueError("nodes: some coordinates are NaN or infinite")
+    return nodes
+
+
+def medial_axis(hull, points=AXIS_POINTS):
+    """Midpoints of the horizontal chords of a convex polygon at equal height increments (paper sec. 3.1, item v).
+
+    Parameters
+    ----------
+    hull : (k, 2) float
+        Corners of a convex polygon, counter-clockwise.
+    points : int
+        Number of chords; the increment is the polygon's height divided by it.
+
+    Returns
+    -------
+    axis : (points, 2) float
+        From the bottom upwards; the first point is the origin.
+    """
+    left, right = hull_sides(hull)
+    bottom, top = hull[:, 1].min(), hull[:, 1].max()
+    height = bottom + (top - bottom) * np.arange(points) / points
+    middle = 0.5 * (np.interp(height, left[:, 1], left[:, 0]) + np.interp(height, right[:, 1], right[:, 0]))
+    return np.column_stack([middle - middle[0], height - bottom])
+
+
+def hull_sides(hull):
+    """The left and the right side of a convex polygon, each from its lowest to its highest corner.
+
+    Parameters
+    ----------
+    hull : (k, 2) float
+        Corners of a convex polygon, counter-clockwise.
+
+    Returns
+    -------
+    left, right : (·, 2) float
+        Corners with increasing y.
+    """
+    x, y = hull.T
+    lowest = np.lexsort((-x, y))[0]  # the right end of a flat bottom
+    highest = np.lexsort((-x, -y))[0]  # the right end of a flat top
+    ring = np.roll(hull, -lowest, axis=0)
+    split = (highest - lowest) % len(hull)
+    right, left = ring[: split + 1], np.concatenate([ring[split:], ring[:1]])[::-1]
+    # A flat bottom (top) belongs to neither side: drop the far end, which has the same y.
+    if len(left) > 2 and left[1, 1] <= left[0, 1]:
+        left = left[1:]
+    if len(left) > 2 and left[-2, 1] >= left[-1, 1]:
+        left = left[:-1]
+    return left, right
+
+
+def axis_height(axis):
+    """Height of the shape that a medial axis (…, k, 2) belongs to: the axis ends one increment below the top."""
+    points = axis.shape[-2]
+    return axis[..., -1, 1] * points / (points - 1)
+
+
+def place_axis(axis, hull):
+    """A medial axis (k, 2), whose first point is the origin, put back where it was in the hull that it came from."""
+    base = hull[np.isclose(hull[:, 1], hull[:, 1].min(), atol=1e-9), 0]
+    return axis + [(base.min() + base.max()) / 2, hull[:, 1].min()]
+
+
+def mirror_axis(axes):
+    """Medial axes mirrored left to right: (…, 60), point by point, or (…, 30, 2); the first point is the origin."""
+    mirrored = np.array(axes, float)
+    if mirrored.shape[-1] == 2:
+        mirrored[..., 0] *= -1
+    else:
+        mirrored[..., 0::2] *= -1
+    return mirrored
