@@ -16,14 +16,15 @@ import pandas as pd
 import typer
 from numba import njit
 from numba.core.dispatcher import Dispatcher
-from stored import SOLVER, seconds, store
+from stored import seconds, store
 from threadpoolctl import threadpool_limits
 
 from inflate_lib import build_mesh, inflate, label_image, load_sevens
-from inflate_lib.mechanics import inflation
-from inflate_lib.mechanics.material import MU
+from inflate_lib.mechanics import _kernels
+from inflate_lib.mechanics.inflation import build_system
 
 REFINEMENTS = (1, 4)
+INTERPRETED = ("march", "_newton")  # what calls the parts
 
 
 @njit
@@ -33,7 +34,7 @@ def _nothing(*arguments):
 
 @contextmanager
 def counted(calls):
-    """Within this context every compiled function of the solver appends the seconds of each call to `calls[name]`."""
+    """Within this context each compiled part of the march appends the seconds of each call to `calls[name]`."""
 
     def timed(name, function):
         def call(*arguments):
@@ -46,20 +47,10 @@ def counted(calls):
 
         return call
 
-    with mock.patch.object(inflation, "_march", inflation._march.py_func):
-        compiled = [
-            mock.patch.object(module, name, timed(name, function))
-            for module in SOLVER
-            for name, function in list(vars(module).items())
-            if isinstance(function, Dispatcher)
-        ]
-        for patch in compiled:
-            patch.start()
-        try:
-            yield
-        finally:
-            for patch in compiled:
-                patch.stop()
+    parts = {name: part for name, part in vars(_kernels).items() if isinstance(part, Dispatcher)}
+    plain = {name: parts.pop(name).py_func for name in INTERPRETED}
+    with mock.patch.multiple(_kernels, **plain, **{name: timed(name, part) for name, part in parts.items()}):
+        yield
 
 
 def shares(mesh, repeats):
@@ -88,7 +79,7 @@ def multiply_adds(mesh):
 
     The two columns of a node with b blocks of 2 × 2 below have 2 b + 1 and 2 b, which makes (2 b + 1)².
     """
-    pattern = inflation._System.of(mesh, "mean-dilatation", MU).pattern
+    pattern = build_system(mesh).pattern
     return int(np.sum((2 * np.diff(pattern.column_start) + 1) ** 2))
 
 

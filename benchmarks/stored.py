@@ -7,7 +7,6 @@ import time
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
-from types import ModuleType
 
 from rich.console import Console
 from rich.table import Table
@@ -15,15 +14,8 @@ from rich.table import Table
 from inflate_lib import paths
 from inflate_lib._cache import code_version
 from inflate_lib._provenance import package_versions
-from inflate_lib.mechanics import inflation
 
 PEERS = ("felupe", "scikit-fem")
-#: inflation.py and the modules that it takes from the package
-SOLVER = [inflation] + [
-    module
-    for module in vars(inflation).values()
-    if isinstance(module, ModuleType) and module.__name__.startswith("inflate_lib.")
-]
 
 
 def seconds(task, *arguments):

@@ -14,48 +14,10 @@ from IPython.display import HTML
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.mechanics.inflation import inflate
-from inflate_lib.mechanics.mesh import boundary_edges
+from inflate_lib.mechanics.mesh import boundary_loops
 
 SCALE = 10_000  # whole numbers per length of the unit square, within 16 bits
 VARIABLE = "inflateExplorer"  # of the script
-
-
-def boundary_loops(mesh):
-    """The boundary of a wall as closed polygons.
-
-    Parameters
-    ----------
-    mesh : inflate_lib.mechanics.mesh.Mesh
-
-    Returns
-    -------
-    outer, cavity : list of (k,) int
-        Node numbers in order, the last joined to the first: loops along the outside, and loops along the void, which
-        carry the pressure. Where walls touch at a corner, a loop may pass through a node twice.
-    """
-    pressurised = {tuple(edge) for edge in np.sort(mesh.pressure_edges, axis=1).tolist()}
-    edges = [tuple(edge) for edge in boundary_edges(mesh.cells).tolist()]
-    return _loops([edge for edge in edges if edge not in pressurised]), _loops(sorted(pressurised))
-
-
-def _loops(edges):
-    """Walk along edges that have an even number at every node, until all are used."""
-    neighbours = {}
-    for a, b in edges:
-        neighbours.setdefault(a, []).append(b)
-        neighbours.setdefault(b, []).append(a)
-    loops = []
-    for start, ends in neighbours.items():
-        while ends:
-            loop, here = [start], ends.pop()
-            neighbours[here].remove(start)
-            while here != start:
-                loop.append(here)
-                following = neighbours[here].pop()
-                neighbours[following].remove(here)
-                here = following
-            loops.append(np.array(loop))
-    return loops
 
 
 def outline(result):
@@ -79,12 +41,15 @@ def outline(result):
     """
     if not result.converged:
         raise ValueError(f"the structure has no outline at every load step: {result.reason}")
-    outer, cavity = boundary_loops(result.mesh)
+    pressurised = {tuple(edge) for edge in result.mesh.pressure_edges.tolist()}  # with the cavity on the left
+    loops = {"outer": [], "cavity": []}
+    for loop in boundary_loops(result.cells):  # with the wall on the left
+        loops["cavity" if (loop[1], loop[0]) in pressurised else "outer"].append(loop)
     positions = result.nodes + np.concatenate([np.zeros((1, *result.nodes.shape)), result.displacement])
-    points = np.rint(SCALE * positions[:, np.concatenate(outer + cavity)])
+    points = np.rint(SCALE * positions[:, np.concatenate(loops["outer"] + loops["cavity"])])
     if np.abs(points).max() > np.iinfo(np.int16).max:
         raise ValueError("the inflated structure is more than three times as large as the frame; it has no outline")
-    lengths = {"outer": [len(loop) for loop in outer], "cavity": [len(loop) for loop in cavity]}
+    lengths = {side: [len(loop) for loop in borders] for side, borders in loops.items()}
     return lengths, points.astype(np.int16)
 
 

@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from inflate_lib.io import _exodus
-from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MAX_HALVINGS, MU, PRESSURE, load_history
+from inflate_lib.mechanics._kernels import MAX_HALVINGS
+from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, load_history
 
 #: Programs that contain MOOSE's solid mechanics, in the order in which they are looked for.
 PROGRAMS = ("solid_mechanics-opt", "combined-opt")

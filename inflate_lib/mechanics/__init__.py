@@ -1,4 +1,4 @@
-"""From a structure to its inflated shape (paper sec. 3): material, mesh, equilibrium, stress, contact, sensitivities."""
+"""From a structure to its inflated shape (paper sec. 3): mesh, equilibrium, stress, contact, sensitivities."""
 
 from inflate_lib._lazy import attach
 

@@ -18,8 +18,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from inflate_lib.mechanics import _sparse
-from inflate_lib.mechanics.inflation import _dilatations, _gather, _pin, _System, _tangent
+from inflate_lib.mechanics import _kernels
+from inflate_lib.mechanics.inflation import assemble, build_system
 from inflate_lib.structures.labels import THICKNESS, VOID, WALL
 
 DIFFERENTIABLE = ("height", "width", "area")  # descriptors that have a sensitivity here
@@ -50,30 +50,19 @@ def sensitivities(result, name, step=-1):
     if not np.isfinite(deformed).all():
         raise ValueError(f"the structure has no equilibrium to differentiate: {result.reason}")
     load = descriptor_gradient(deformed, name)
-    (lam, mu), pressure = result.lame, result.pressures[step]
-    system = _System.of(result.mesh, result.element, mu)
-    m, d, n = len(system.cells), len(system.points), len(system.order)
-    corners, J, c = np.empty((m, 4, 2)), np.empty((m, d)), np.empty((m, d, 4, 2))
-    _gather(deformed[system.order].ravel(), system.cells, system.fixed, corners)
-    _dilatations(system.points, corners, system.kind, system.dilatation, J, c)
-    log_j, blocks, inverses = np.log(J), np.empty(system.constant.shape), np.empty((n, 4))
-    _tangent(
-        system.points, blocks, system.constant, system.pressure, system.cells, system.kind, system.dilatation,
-        system.weights, system.place, J, c, lam * log_j, 1.0, lam, mu, pressure,
-    )  # fmt: skip
-    _pin(system.pattern, system.pinned, blocks)
-    if _sparse.factorise(system.pattern, blocks, inverses) < n:
+    system = build_system(result.mesh, result.element, result.lame)
+    state = assemble(system, deformed, result.pressures[step])
+    if _kernels.factorise(system.pattern, state.tangent, state.inverses) < len(system.order):
         raise ValueError("the equilibrium is not stable: its tangent is not positive definite")
     free = load[system.order]
     free[: len(system.pinned)][system.pinned] = 0
     solution = free.ravel()
-    _sparse.solve(system.pattern, blocks, inverses, solution)
+    _kernels.solve(system.pattern, state.tangent, state.inverses, solution)
     adjoint = np.zeros_like(deformed)
     adjoint[system.order] = solution.reshape(-1, 2)
     adjoint = adjoint[result.cells]
 
-    slope = system.weights[system.kind] * (lam * log_j - mu) / J
-    forces = system.stiffness[system.kind] @ corners + np.einsum("mq,mqai->mai", slope, c)
+    forces = system.stiffness[system.kind] @ state.corners + np.einsum("mq,mqai->mai", state.slope, state.c)
     return -np.sum(adjoint * forces, axis=(1, 2))
 
 

@@ -178,21 +178,37 @@ def boundary_edges(cells):
 
 
 def boundary_loops(cells):
-    """Closed lines of nodes around the quadrilaterals `cells` (m, 4): the outer border and the border of each hole."""
-    next_of = {}
-    ends = np.stack([cells, np.roll(cells, -1, axis=1)], axis=-1).reshape(-1, 2)
+    """Closed lines around quadrilaterals: their outer border, and the border of each hole.
+
+    Where two quadrilaterals meet at a corner only, a loop goes on along the other one, so that it keeps to one hole, or
+    to the outside. It may then pass through a node twice.
+
+    Parameters
+    ----------
+    cells : (m, 4) int
+        Node numbers, counter-clockwise around each quadrilateral.
+
+    Returns
+    -------
+    list of (k,) int
+        Node numbers in order, the last joined to the first, with the quadrilaterals on the left-hand side.
+    """
     border = {tuple(edge) for edge in boundary_edges(cells).tolist()}
-    for start, end in ends.tolist():
-        if (min(start, end), max(start, end)) in border:
-            next_of.setdefault(start, []).append(end)
+    cell_of, leaving = {}, {}  # edges as (start, end)
+    for cell, corners in enumerate(cells.tolist()):
+        for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+            if (min(start, end), max(start, end)) in border:
+                cell_of[start, end] = cell
+                leaving.setdefault(start, []).append((start, end))
+    following = {}
+    for edge, cell in cell_of.items():
+        ways = leaving[edge[1]]
+        following[edge] = next((way for way in ways if cell_of[way] != cell), ways[0])
     loops = []
-    while next_of:
-        start = next(iter(next_of))
-        loop, node = [], start
-        while node in next_of:
-            loop.append(node)
-            node = next_of[node].pop()
-            if not next_of[loop[-1]]:
-                del next_of[loop[-1]]
+    while following:
+        edge, loop = next(iter(following)), []
+        while edge in following:
+            loop.append(edge[0])
+            edge = following.pop(edge)
         loops.append(np.array(loop))
     return loops

@@ -1,7 +1,7 @@
 """Stresses and stretches of an inflated structure, and their peaks.
 
-Stresses follow from P = μ F + φ′(J) cof F of :mod:`inflate_lib.mechanics.inflation`. Plane strain means F₃₃ = 1, which leaves a
-stress across the plane. With φ′J = (P − μ F) : F / 2, the Cauchy stress is
+Stresses follow from P = μ F + φ′(J) cof F of :mod:`inflate_lib.mechanics.inflation`. Plane strain means F₃₃ = 1, which
+leaves a stress across the plane. With φ′J = (P − μ F) : F / 2, the Cauchy stress is
 
     σ = P Fᵀ / J in the plane,   σ₃₃ = μ / J + φ′   (for one point: λ ln J / J),
 

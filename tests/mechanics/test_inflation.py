@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from inflate_lib import build_mesh, describe, inflate, label_image
 from inflate_lib.mechanics import inflation
-from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, Inflation, shape_gradients
+from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, Inflation, build_system, shape_gradients
 from inflate_lib.mechanics.mesh import Mesh
 from inflate_lib.structures.labels import EDGES
 from inflate_lib.structures.sources import load_sevens, resolve_source
@@ -42,32 +42,19 @@ def held(mesh, positions, element="mean-dilatation", lame=(LAMBDA, MU)):
 
 
 def assemble(mesh, positions, element, p=0.0):
-    """Residual (n, 2) and tangent (2n, 2n) of all free nodes, from the compiled routines, in the order of the mesh."""
-    s = inflation._System.of(mesh, element, MU)
-    x, n = positions[s.order].ravel(), 2 * len(s.order)
-    corners, edge_corners = np.empty((len(s.cells), 4, 2)), np.empty((len(s.edges), 2, 2))
-    inflation._gather(x, s.cells, s.fixed, corners)
-    inflation._gather(x, s.edges, s.edges_fixed, edge_corners)
-    J, c = np.empty((len(s.cells), s.weights.shape[1])), np.empty((len(s.cells), s.weights.shape[1], 4, 2))
-    inflation._dilatations(s.points, corners, s.kind, s.dilatation, J, c)
-    r, blocks, log_j = np.empty(n), np.empty(s.constant.shape), np.log(J)
-    inflation._residual(
-        s.points, corners, s.cells, s.kind, s.stiffness, s.weights, J, log_j, c, s.edges, edge_corners, LAMBDA, MU, p, r
-    )
-    inflation._tangent(
-        s.points, blocks, s.constant, s.pressure, s.cells, s.kind, s.dilatation, s.weights, s.place, J, c,
-        LAMBDA * log_j, 1.0, LAMBDA, MU, p,
-    )  # fmt: skip
+    """Residual (n, 2) and tangent (2n, 2n) of all free nodes in the order of the mesh, and J (m, d)."""
+    system = build_system(mesh, element)
+    state, n = inflation.assemble(system, positions, p), 2 * len(system.order)
     K = np.zeros((n // 2, n // 2, 2, 2))
-    rows, columns = places(s.pattern)
-    K[rows, columns] = blocks.reshape(-1, 2, 2)
+    rows, columns = places(system.pattern)
+    K[rows, columns] = state.tangent.reshape(-1, 2, 2)
     K = np.tril(K.transpose(0, 2, 1, 3).reshape(n, n))
     K += np.tril(K, -1).T
-    residual, unknown = np.zeros_like(positions), (2 * s.order[:, None] + [0, 1]).ravel()
-    residual[s.order] = r.reshape(-1, 2)
+    residual, unknown = np.zeros_like(positions), (2 * system.order[:, None] + [0, 1]).ravel()
+    residual[system.order] = state.residual.reshape(-1, 2)
     tangent = np.zeros((2 * len(mesh.nodes),) * 2)
     tangent[np.ix_(unknown, unknown)] = K
-    return residual, tangent, J
+    return residual, tangent, state.J
 
 
 def internal_forces(result, step=-1):

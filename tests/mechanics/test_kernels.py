@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from mechanics_peers import places, random_label
 
 from inflate_lib import build_mesh
-from inflate_lib.mechanics import _sparse
+from inflate_lib.mechanics import _kernels
 
 
 def random_matrix(seed):
@@ -15,7 +15,7 @@ def random_matrix(seed):
     rng = np.random.default_rng(seed)
     mesh = build_mesh(random_label(seed, pixels=10))
     free = np.flatnonzero(~mesh.clamped)
-    pattern = _sparse.pattern(len(free), renumbered(mesh, free))
+    pattern = _kernels.pattern(len(free), renumbered(mesh, free))
     cells, n = renumbered(mesh, free[pattern.order]), 2 * len(free)
     matrix = np.diag(10.0 ** rng.uniform(-3, 0, n))
     for cell in cells:
@@ -41,7 +41,7 @@ def packed(matrix, pattern):
 def factorised(pattern, blocks):
     """Number of block rows done, the blocks of L, the inverses of D."""
     blocks, inverses = blocks.copy(), np.empty((len(pattern.order), 4))
-    return _sparse.factorise(pattern, blocks, inverses), blocks, inverses
+    return _kernels.factorise(pattern, blocks, inverses), blocks, inverses
 
 
 seeds = st.integers(0, 2**32 - 1)
@@ -55,7 +55,7 @@ def test_solution_is_that_of_the_dense_matrix(seed):
     assert done == len(pattern.order)
     solution = np.random.default_rng(seed).normal(size=len(matrix))
     x = matrix @ solution
-    _sparse.solve(pattern, lower, inverses, x)
+    _kernels.solve(pattern, lower, inverses, x)
     assert np.abs(matrix @ (x - solution)).max() <= 1e-10 * np.abs(matrix @ solution).max()
     assert np.allclose(x, np.linalg.solve(matrix, matrix @ solution), rtol=1e-7, atol=1e-7)
 
@@ -96,7 +96,7 @@ def test_pattern_is_that_of_the_elimination_and_no_larger(seed):
     """Eliminate the graph node by node, in dense boolean algebra; the pattern must hold the fill and nothing else."""
     mesh = build_mesh(random_label(seed))
     n = len(mesh.nodes)
-    pattern = _sparse.pattern(n, mesh.cells)
+    pattern = _kernels.pattern(n, mesh.cells)
     assert np.array_equal(np.sort(pattern.order), np.arange(n))
     filled = np.zeros((n, n), dtype=bool)
     for cell in np.argsort(pattern.order)[mesh.cells]:
@@ -125,7 +125,7 @@ def test_order_fills_in_less_than_that_of_superlu():
         graph = coo_array((np.ones(len(pairs[0])), pairs), shape=(n, n)).tocsc() + 100 * identity(n)
         options = {"SymmetricMode": True}
         lu = splu(graph.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-        ours += len(_sparse.pattern(n, mesh.cells).rows) + n
+        ours += len(_kernels.pattern(n, mesh.cells).rows) + n
         theirs += lu.L.nnz
     assert ours < 1.1 * theirs
 
@@ -133,24 +133,24 @@ def test_order_fills_in_less_than_that_of_superlu():
 def test_operations_are_counted():
     """The multiplications of a dense matrix of n block rows: n³ · 4/3 to leading order, here exactly."""
     n = 7
-    pattern = _sparse.pattern(n, np.arange(n)[None])
+    pattern = _kernels.pattern(n, np.arange(n)[None])
     assert len(pattern.rows) == n * (n - 1) // 2
     inner = sum(i * (i - 1) // 2 for i in range(n))  # products of two blocks, 8 multiplications each
     assert pattern.multiplications == 8 * inner + 14 * len(pattern.rows)
 
 
 def test_clamped_nodes_take_no_room():
-    pattern = _sparse.pattern(3, np.array([[0, 1, -1, -1], [1, 2, -1, -1]]))
+    pattern = _kernels.pattern(3, np.array([[0, 1, -1, -1], [1, 2, -1, -1]]))
     assert len(pattern.rows) == 2
     assert pattern.n_blocks == 5
 
 
 @pytest.mark.parametrize("n", [1, 2])
 def test_smallest_systems(n):
-    pattern = _sparse.pattern(n, np.arange(n)[None])
+    pattern = _kernels.pattern(n, np.arange(n)[None])
     matrix = 4 * np.eye(2 * n) + 1
     done, lower, inverses = factorised(pattern, packed(matrix, pattern))
     x = np.arange(2.0 * n)
     assert done == n
-    _sparse.solve(pattern, lower, inverses, x)
+    _kernels.solve(pattern, lower, inverses, x)
     assert np.allclose(matrix @ x, np.arange(2 * n))

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from mechanics_peers import hook, random_label
 
 from inflate_lib import build_mesh, label_image
+from inflate_lib.mechanics.mesh import boundary_edges, boundary_loops
 from inflate_lib.structures.labels import EDGES
 from inflate_lib.structures.sources import load_sevens
 
@@ -140,3 +141,18 @@ def test_clamped_must_be_an_edge(edge):
 def test_the_edge_that_no_wall_reaches_is_named():
     with pytest.raises(ValueError, match=r"nothing is clamped.*right edge"):
         build_mesh(hook(), clamped="right")
+
+
+def test_loops_keep_to_one_hole_where_holes_touch_at_a_corner():
+    label = np.full((8, 8), 0.5)
+    label[1, 1] = label[2, 2] = label[3, 1] = 0.0  # pixels of outside within the wall, which share corners
+    label[4:6, 2:4] = 1.0  # and one of them shares one with the cavity
+    mesh = build_mesh(label)
+    loops = boundary_loops(mesh.cells)
+    edges = [pair for loop in loops for pair in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True)]
+    assert len(edges) == len(set(edges)) == len(boundary_edges(mesh.cells)) == 32 + 3 * 4 + 8
+    areas = sorted(round(64 * polygon_area(mesh.nodes[loop])) for loop in loops)
+    assert areas == [-4, -1, -1, -1, 64]
+    pressurised = {(end, start) for start, end in mesh.pressure_edges.tolist()}
+    (cavity,) = [loop for loop in loops if (loop[0], loop[1]) in pressurised]
+    assert len(cavity) == len(pressurised) == 8

@@ -31,7 +31,7 @@ def random_wall(rng):
 
 def nominal_seconds(result):
     """Seconds of the nominal core that an inflation took."""
-    system = inflation._System.of(result.mesh, result.element, result.lame[1])
+    system = inflation.build_system(result.mesh, result.element, result.lame)
     return result.factorisations * inflation.nominal_seconds(system)
 
 
