@@ -1,7 +1,7 @@
 """What the tests of the mechanics share: small structures, and independent solvers to compare with.
 
-The solvers share nothing but the mesh with `inflate_lib.mechanics.inflation`. FElupe assembles the solid and the follower
-pressure by its own means; the mean-dilatation element, which FElupe does not have in this form, is the potential
+The solvers share nothing but the mesh with `inflate_lib.mechanics.inflation`. FElupe assembles the solid and the
+follower pressure by its own means; the mean-dilatation element, which FElupe does not have in this form, is the potential
 written down in PyTorch and differentiated by it.
 """
 
