@@ -10,13 +10,13 @@ import torch
 from torch import Tensor, nn
 
 from inflate_lib._cache import cached, digest, step_version
-from inflate_lib.alternatives import _learning
 from inflate_lib.datasets.pairs import training_pairs
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import added_version, descriptor_matrix
 from inflate_lib.diffusion import _storage
-from inflate_lib.diffusion.training import random_generator
+from inflate_lib.diffusion._loop import fit
+from inflate_lib.diffusion._random import initialised, random_generator
 from inflate_lib.experiments.run import check_targets, judge
 from inflate_lib.models.calibration import Calibration
 
@@ -124,7 +124,7 @@ def train_autoencoder(data, descriptor, like, n_augmented, seed=0):
     low, high = conditions.min(axis=0), conditions.max(axis=0)
     steps, batch_size = like.config.training_steps(len(images)), like.config.batch_size
     width = nearest_width(conditions.shape[1], like.net.n_parameters)
-    net = _learning.initialised(lambda: Autoencoder(conditions.shape[1], width), seed)
+    net = initialised(lambda: Autoencoder(conditions.shape[1], width), seed)
     trained = TrainedAutoencoder(net, low, high, steps * batch_size, 0.0)
 
     def make(target, scratch):
@@ -137,7 +137,7 @@ def train_autoencoder(data, descriptor, like, n_augmented, seed=0):
             return (reconstruction_nll(x[rows], net.decode(z, y[rows])) + told).mean() / x[0].numel()
 
         what = f"training the autoencoder ({descriptor})"
-        history, seconds = _learning.fit(net, loss, len(x), steps, batch_size, 2e-3, seed, scratch, what)
+        history, seconds = fit(net, loss, len(x), steps, batch_size, 2e-3, seed, scratch, what)
         _storage.write(target, "autoencoder", net.state_dict(), {"history": history, "seconds": seconds})
 
     key = {

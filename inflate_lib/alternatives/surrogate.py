@@ -12,10 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from inflate_lib._cache import cached, digest, step_version
-from inflate_lib.alternatives import _learning
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import columns, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import _storage
+from inflate_lib.diffusion._loop import fit
+from inflate_lib.diffusion._random import initialised
 from inflate_lib.structures.labels import FRAME, label_image
 
 CHANNELS, HIDDEN, BATCH = (8, 16, 32), 128, 64
@@ -92,7 +93,7 @@ def train_surrogate(data, steps=1500, seed=0, rows=None):
     scale = np.concatenate(
         [get_descriptor(n).error.scale(answers[:, of]) for n, of in zip(ANSWERS, parts, strict=True)]
     )
-    net = _learning.initialised(lambda: Network(answers.shape[1]), seed)
+    net = initialised(lambda: Network(answers.shape[1]), seed)
 
     def make(target, scratch):
         x = torch.from_numpy(centred(np.concatenate([labels, labels[:, :, ::-1]])))
@@ -103,7 +104,7 @@ def train_surrogate(data, steps=1500, seed=0, rows=None):
             squares = (net(x[rows]) - y[rows]).square().mean(dim=0)
             return sum(squares[of].mean() for of in parts)  # an axis counts as much as each scalar
 
-        history, seconds = _learning.fit(net, loss, len(x), steps, BATCH, 2e-3, seed, scratch, "training the surrogate")
+        history, seconds = fit(net, loss, len(x), steps, BATCH, 2e-3, seed, scratch, "training the surrogate")
         _storage.write(target, "surrogate", net.state_dict(), {"history": history, "seconds": seconds})
 
     key = {

@@ -4,8 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 
-import torch
-
+from inflate_lib.diffusion._random import initialised
 from inflate_lib.diffusion.process import check_objective
 from inflate_lib.diffusion.unet import UNet, check_conditioning
 
@@ -111,7 +110,6 @@ class TrainingConfig:
 
     def make_net(self, n_conditions: int) -> UNet:
         """An untrained network; its weights follow from the seed."""
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.seed)
-            widths = self.channels, self.embedding, self.hidden
-            return UNet(n_conditions, *widths, self.blocks, self.conditioning, self.attention, parts=self.parts)
+        widths = self.channels, self.embedding, self.hidden
+        options = self.blocks, self.conditioning, self.attention
+        return initialised(lambda: UNet(n_conditions, *widths, *options, parts=self.parts), self.seed)

@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from inflate_lib.diffusion import process
+from inflate_lib.diffusion._random import random_generator
 from inflate_lib.diffusion.model import TrainedModel
 from inflate_lib.diffusion.schedule import Schedule, at
-from inflate_lib.diffusion.training import choose_device, random_generator
+from inflate_lib.diffusion.training import choose_device
 
 SAMPLERS = ("ancestral", "ddim", "dpm-solver++")
 

@@ -1,7 +1,6 @@
-"""Training the conditional denoiser (sections 2.2 and 4.1): the loop and its checkpoints."""
+"""Training the conditional denoiser (sections 2.2 and 4.1), and its loss on given pairs."""
 
 import math
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,14 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inflate_lib._progress import Progress
 from inflate_lib.diffusion import _ranks, _storage, process
-from inflate_lib.diffusion._logs import Log
+from inflate_lib.diffusion._loop import Loop
+from inflate_lib.diffusion._random import random_generator
 from inflate_lib.diffusion.config import TrainingConfig
 from inflate_lib.diffusion.model import TrainedModel
 from inflate_lib.diffusion.schedule import at, cosine_schedule
-
-CHECKPOINT = "checkpoint.safetensors"
 
 
 def choose_device(name: str = "auto") -> torch.device:
@@ -29,16 +26,6 @@ def choose_device(name: str = "auto") -> torch.device:
     if torch.cuda.is_available():
         return torch.device("cuda")
     return torch.device("mps" if torch.backends.mps.is_available() else "cpu")
-
-
-def random_generator(*key: int) -> torch.Generator:
-    """A CPU generator that depends on the numbers of ``key`` alone.
-
-    Each training step and each generated structure gets its own, so that results depend neither on where a run was
-    interrupted nor on how structures are batched, and no generator's state has to be stored.
-    """
-    seed = np.random.SeedSequence(key).generate_state(1, np.uint64)[0]
-    return torch.Generator().manual_seed(int(seed >> 1))
 
 
 def train(
@@ -90,10 +77,7 @@ def train(
     torch.set_num_threads(threads or threads_before)
     try:
         run = _Run(images, conditions, config, folder)
-        first = _ranks.rank() == 0
-        what = progress if isinstance(progress, str) else "training"
-        report = Progress(what, run.total, "steps", run.step) if first and progress is not False else None
-        run.train(report, Log(Path(log), run.step) if log and first else None)
+        run.run(progress, log)
         return run.model()
     finally:
         torch.set_num_threads(threads_before)
@@ -153,82 +137,55 @@ def _squared_errors(model: TrainedModel, x0: Tensor, y: Tensor | None, t: Tensor
     return process.squared_error(prediction, target)
 
 
-class _Run:
-    """The state of one training run: what a checkpoint stores, and what a step changes."""
+class _Run(Loop):
+    """Training on the hybrid loss: random time steps, noise and withheld descriptors; an average of the weights."""
+
+    parts = ("loss", "simple", "vlb")
 
     def __init__(self, images: np.ndarray, conditions: np.ndarray, config: TrainingConfig, folder: Path | None):
-        self.config, self.path = config, Path(folder) / CHECKPOINT if folder is not None else None
-        self.device = choose_device(config.device)
-        on_gpu = self.device.type == "cuda"
-        self.bfloat16 = config.precision == "bfloat16" or (config.precision == "auto" and on_gpu)
+        n, device = len(images), choose_device(config.device)
+        net = config.make_net(conditions.shape[1]).to(device)
+        super().__init__(
+            net,
+            config.training_steps(n),
+            config.batch_size,
+            config.learning_rate,
+            config.log_every,
+            config.checkpoint_steps(n),
+            folder,
+            identity={"config": config.recipe(), "data": _storage.fingerprint(images, conditions)},
+        )
+        self.config = config
+        self.bfloat16 = config.precision == "bfloat16" or (config.precision == "auto" and device.type == "cuda")
         self.low, self.high = conditions.min(0), conditions.max(0)
-        self.per_epoch = math.ceil(len(images) / config.batch_size)
-        self.total = config.training_steps(len(images))
-        self.checkpoint_every = config.checkpoint_steps(len(images))
-        self.net = config.make_net(conditions.shape[1]).to(self.device)
-        self.ema = [p.detach().clone() for p in self.net.parameters()]
-        self.optimiser = torch.optim.Adam(self.net.parameters(), lr=config.learning_rate, fused=on_gpu)
-        for p in self.net.parameters():  # what Adam itself would begin with
-            step = torch.zeros((), device=self.device if on_gpu else "cpu")
-            self.optimiser.state[p] = {"step": step, "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
-            p.grad = torch.zeros_like(p)
+        self.per_epoch, self.epoch, self.order = math.ceil(n / config.batch_size), None, None
+        self.ema = [p.detach().clone() for p in self.parameters]
         # Not dynamic: the smaller batch at an epoch's end gets a graph of its own, and the others keep theirs.
-        self.predict = torch.compile(self.net, dynamic=False) if config.compile else self.net
-        self.step, self.history = 0, {"step": [], "loss": [], "simple": [], "vlb": []}
-        self.seconds, self.per_step = 0.0, []  # spent in all; of one step, on average between entries of the history
-        # Loss, simple and vlb part, summed since the last entry of the history.
-        self.sums = torch.zeros(3, device=self.device)
-        self.summed = 0
-
+        self.predict = torch.compile(net, dynamic=False) if config.compile else net
         self.schedule = cosine_schedule(config.T)
         self.weights = process.hybrid_weights(self.schedule, config.objective, config.vlb_weight, config.min_snr)
         self.vlb_weights = process.vlb_weights(self.schedule, config.objective) * config.T
-        self.images = torch.from_numpy(images).to(self.device)
-        scaled = TrainedModel(self.net, config, self.low, self.high).scaled(conditions)
-        self.conditions = torch.from_numpy(scaled).to(self.device, torch.float32)
-        # Tells this run's checkpoint from that of another data set or configuration.
-        data = _storage.fingerprint(images, conditions)
-        self.identity = {"config": config.recipe(), "data": data}
-        if self.path is not None and self.path.exists() and _ranks.rank() == 0:
-            self.restore()
-        _ranks.copy(list(self.state().values()), self.device)
-        self.step, self.history = _ranks.share((self.step, self.history))
+        self.images = torch.from_numpy(images).to(device)
+        scaled = TrainedModel(net, config, self.low, self.high).scaled(conditions)
+        self.conditions = torch.from_numpy(scaled).to(device, torch.float32)
 
     def state(self) -> dict[str, Tensor]:
-        """Every tensor that a step changes, by its name in the checkpoint."""
-        tensors = {}
-        for (name, p), average in zip(self.net.named_parameters(), self.ema, strict=True):
-            tensors |= {f"net.{name}": p.detach(), f"ema.{name}": average}
-            tensors |= {f"adam.{name}.{key}": value for key, value in self.optimiser.state[p].items()}
-        return tensors
+        names = (name for name, _ in self.net.named_parameters())
+        return super().state() | {f"ema.{name}": average for name, average in zip(names, self.ema, strict=True)}
 
-    def train(self, report: Progress | None, log: Log | None) -> None:
-        order, epoch, started = None, None, time.monotonic() - self.seconds
-        while self.step < self.total:
-            if epoch != self.step // self.per_epoch:
-                epoch = self.step // self.per_epoch
-                shuffle = random_generator(self.config.seed, 1, epoch)
-                order = torch.randperm(len(self.images), generator=shuffle)
-            first = self.step % self.per_epoch * self.config.batch_size
-            self.advance(order[first : first + self.config.batch_size])
-            done = self.step == self.total
-            checkpoint = done or self.step % self.checkpoint_every == 0
-            if self.summed and (checkpoint or self.step % self.config.log_every == 0):
-                steps = self.summed
-                self.log()
-                before, self.seconds = self.seconds, time.monotonic() - started
-                self.per_step.append((self.seconds - before) / steps)
-                if log is not None:
-                    log.add(**{name: values[-1] for name, values in self.history.items()}, seconds=self.seconds)
-            if report and (done or report.due()):
-                loss = f"loss {self.history['loss'][-1]:.4f}" if self.history["loss"] else ""
-                report.tell_time(self.step, loss, f"{report.rate(self.step) * self.config.batch_size:.0f} images/s")
-            if checkpoint and self.path is not None and _ranks.rank() == 0:
-                self.save()
+    def rows(self) -> Tensor:
+        """Numbers of the pairs of this step; every epoch has an order of its own."""
+        if self.epoch != self.step // self.per_epoch:
+            self.epoch = self.step // self.per_epoch
+            shuffle = random_generator(self.config.seed, 1, self.epoch)
+            self.order = torch.randperm(len(self.images), generator=shuffle)
+        first = self.step % self.per_epoch * self.batch_size
+        return self.order[first : first + self.batch_size]
 
-    def advance(self, rows: Tensor) -> None:
-        """One step of stochastic gradient descent on the hybrid loss (Eq. 11)."""
-        config, n = self.config, len(rows)
+    def descend(self) -> Tensor:
+        """The gradient of the hybrid loss (Eq. 11) on one batch, or on this process's share of it."""
+        config, rows = self.config, self.rows()
+        n = len(rows)
         # On the CPU and for the whole batch: the same numbers for every device and however many processes share it.
         generator = random_generator(config.seed, 2, self.step)
         # The descriptor decides most where the noise is strong: the largest of k draws has a density ∝ t^(k − 1).
@@ -242,24 +199,16 @@ class _Run:
             y = y.masked_fill(withheld.to(self.device), math.nan)
         mine = slice(_ranks.rank(), None, _ranks.world())
         rows, y, t, dropped, noise = rows[mine], y[mine], t[mine], dropped[mine], noise[mine]
+        if not len(rows):
+            return torch.zeros(len(self.parts), device=self.device)
+        losses = self.losses(self.there(rows), y, t, self.there(dropped), self.there(noise)) / n
+        losses[0].backward()
+        return losses.detach()
 
-        for group in self.optimiser.param_groups:
-            group["lr"] = self.learning_rate()
-        self.optimiser.zero_grad(set_to_none=False)  # a process without a row in this batch has a gradient, too
-        losses = torch.zeros(3, device=self.device)
-        if len(rows):
-            losses = self.losses(self.there(rows), y, t, self.there(dropped), self.there(noise)) / n
-            losses[0].backward()
-            losses = losses.detach()
-        _ranks.add_up([*(p.grad for p in self.net.parameters()), losses])
-        self.optimiser.step()
-        with torch.no_grad():
-            self.sums += losses
-            # The average follows quickly at first, when the weights are still far from any use.
-            decay = min(config.ema_decay, (1 + self.step) / (10 + self.step))
-            torch._foreach_lerp_(self.ema, list(self.net.parameters()), 1 - decay)
-        self.step += 1
-        self.summed += 1
+    def settle(self) -> None:
+        """Let the averages follow the weights: quickly at first, when these are still far from any use."""
+        decay = min(self.config.ema_decay, (1 + self.step) / (10 + self.step))
+        torch._foreach_lerp_(self.ema, self.parameters, 1 - decay)
 
     def there(self, tensor: Tensor) -> Tensor:
         """Send to the device; a GPU goes on computing meanwhile."""
@@ -277,64 +226,18 @@ class _Run:
         weighted = at(self.weights, t, error) * error, error, at(self.vlb_weights, t, error) * error
         return torch.stack([part.sum() for part in weighted])
 
-    def learning_rate(self) -> float:
-        rate = self.config.learning_rate * min(1, (self.step + 1) / max(1, self.config.warmup_steps))
+    def rate(self) -> float:
+        rate = self.learning_rate * min(1, (self.step + 1) / max(1, self.config.warmup_steps))
         if self.config.learning_rate_decay == "cosine":
             rate *= 0.5 * (1 + math.cos(math.pi * self.step / self.total))
         return rate
 
-    def log(self) -> None:
-        """Close an interval of the history; stop if the loss is lost."""
-        loss, simple, vlb = (self.sums / self.summed).tolist()
-        if not math.isfinite(loss):
-            raise self.lost(f"the training loss became {loss} between steps {self.step - self.summed} and {self.step}")
-        for name, value in (("step", self.step), ("loss", loss), ("simple", simple), ("vlb", vlb)):
-            self.history[name].append(value)
-        self.sums.zero_()
-        self.summed = 0
-
-    def lost(self, what: str) -> FloatingPointError:
-        kept = f" The last good state is in {self.path}." if self.path is not None and self.path.exists() else ""
-        advice = f"try a smaller learning rate than {self.config.learning_rate}"
-        return FloatingPointError(f"{what}; {advice}.{kept}")
-
-    def save(self) -> None:
-        tensors = self.state()
-        if not all(bool(tensor.isfinite().all()) for tensor in tensors.values()):
-            raise self.lost(f"the weights are no longer finite after step {self.step}")
-        content = self.identity | {"step": self.step, "history": self.history, "seconds": self.seconds}
-        try:
-            _storage.write(self.path, "checkpoint", tensors, content)
-        except OSError as error:
-            kept = "the checkpoint before it is kept" if self.path.exists() else "there is no checkpoint yet"
-            raise OSError(error.errno, f"{error.strerror} at step {self.step} ({kept})", str(self.path)) from error
-
-    def restore(self) -> None:
-        try:
-            tensors, content = _storage.read(self.path, "checkpoint")
-        except ValueError as error:
-            raise ValueError(f"{error}; delete the file to start over") from None
-        if {name: content[name] for name in self.identity} != self.identity:
-            raise ValueError(
-                f"{self.path} belongs to a run with another configuration or other data; "
-                "choose another folder, or delete the file to start over"
-            )
-        _storage.fill(self.state(), tensors, self.path)
-        self.step, self.history, self.seconds = (content[name] for name in ("step", "history", "seconds"))
-
     def model(self) -> TrainedModel:
         if self.config.ema_decay > 0:
             with torch.no_grad():
-                torch._foreach_copy_(list(self.net.parameters()), self.ema)
+                torch._foreach_copy_(self.parameters, self.ema)
         net, size = self.net.cpu().eval(), tuple(self.images.shape[1:])
-        spent = {"seconds": round(self.seconds, 1), "device": _device_name(self.device)}
-        if self.per_step:
-            spent["seconds_per_step"] = float(np.median(self.per_step))
-        return TrainedModel(net, self.config, self.low, self.high, size, self.history, spent)
-
-
-def _device_name(device: torch.device) -> str:
-    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
+        return TrainedModel(net, self.config, self.low, self.high, size, self.history, self.spent())
 
 
 def to_network(images: Tensor) -> Tensor:

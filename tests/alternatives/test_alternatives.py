@@ -7,7 +7,7 @@ import xarray as xr
 from torch.distributions import Bernoulli, Normal, kl_divergence
 
 from inflate_lib import paths
-from inflate_lib.alternatives import _learning, ablation, surrogate
+from inflate_lib.alternatives import ablation, surrogate
 from inflate_lib.alternatives.autoencoder import (
     Autoencoder,
     TrainedAutoencoder,
@@ -19,6 +19,8 @@ from inflate_lib.alternatives.retrieval import random_structures, retrieved_stru
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
+from inflate_lib.diffusion._loop import fit
+from inflate_lib.diffusion._random import initialised
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.experiments.run import check_targets, held_out_targets, run_experiment
 from inflate_lib.structures.labels import label_image
@@ -164,7 +166,7 @@ def test_the_autoencoder_is_as_large_as_the_model_beside_it(n_conditions, n_para
 
 
 def test_what_the_autoencoder_draws_depends_on_seed_number_and_target_alone():
-    net = _learning.initialised(lambda: Autoencoder(1, 4), seed=0)
+    net = initialised(lambda: Autoencoder(1, 4), seed=0)
     model = TrainedAutoencoder(net, np.array([0.0]), np.array([2.0]), 0, 0.0)
     images = model.generate(np.array([[0.5], [1.0], [1.5]]), seed=1)
     assert images.shape == (3, 28, 28) and 0 <= images.min() and images.max() <= 1
@@ -197,8 +199,8 @@ def test_a_network_learns_a_linear_map():
     weights = torch.randn(6, 2)
     x = torch.randn(500, 6)
     y = x @ weights
-    net = _learning.initialised(lambda: torch.nn.Linear(6, 2), seed=0)
-    history, _ = _learning.fit(net, lambda rows, _: (net(x[rows]) - y[rows]).square().mean(), 500, 600, 64, 0.05)
+    net = initialised(lambda: torch.nn.Linear(6, 2), seed=0)
+    history, _ = fit(net, lambda rows, _: (net(x[rows]) - y[rows]).square().mean(), 500, 600, 64, 0.05)
     torch.testing.assert_close(net.weight.T, weights, atol=1e-2, rtol=0)
     assert history[-1] < 1e-4 * history[0] and len(history) == 20
 
@@ -207,7 +209,7 @@ def test_training_that_was_interrupted_ends_as_if_it_had_not_been(tmp_path):
     x = torch.randn(50, 3)
 
     def trained(folder, stop=None):
-        net = _learning.initialised(lambda: torch.nn.Linear(3, 1), seed=0)
+        net = initialised(lambda: torch.nn.Linear(3, 1), seed=0)
         calls = []
 
         def loss(rows, generator):
@@ -216,7 +218,7 @@ def test_training_that_was_interrupted_ends_as_if_it_had_not_been(tmp_path):
                 raise KeyboardInterrupt
             return (net(x[rows]) + torch.randn(1, generator=generator)).square().mean()
 
-        history, _ = _learning.fit(net, loss, 50, 40, 8, 0.05, seed=5, folder=folder)
+        history, _ = fit(net, loss, 50, 40, 8, 0.05, seed=5, folder=folder)
         return net.weight.detach().clone(), history, len(calls)
 
     whole = trained(None)
@@ -229,8 +231,8 @@ def test_training_that_was_interrupted_ends_as_if_it_had_not_been(tmp_path):
 
 def test_a_loss_that_is_lost_is_an_error():
     net = torch.nn.Linear(1, 1)
-    with pytest.raises(FloatingPointError, match="training: the loss became nan before step 1"):
-        _learning.fit(net, lambda rows, _: net.weight.sum() * torch.nan, 5, 20)
+    with pytest.raises(FloatingPointError, match="the training loss became nan between steps 0 and 1"):
+        fit(net, lambda rows, _: net.weight.sum() * torch.nan, 5, 20)
 
 
 @pytest.mark.slow

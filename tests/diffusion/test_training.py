@@ -14,7 +14,9 @@ import torch
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, _storage, generate, process, train
 from inflate_lib.diffusion._logs import Log
-from inflate_lib.diffusion.training import CHECKPOINT, _Run, choose_device, losses_in_time, random_generator
+from inflate_lib.diffusion._loop import CHECKPOINT
+from inflate_lib.diffusion._random import random_generator
+from inflate_lib.diffusion.training import _Run, choose_device, losses_in_time
 
 TINY = {"channels": (4, 8), "embedding": 16, "hidden": 8, "batch_size": 8, "learning_rate": 1e-3}
 
@@ -38,10 +40,10 @@ def interrupt_at(monkeypatch, step):
 
     advance = _Run.advance
 
-    def interrupted(self, rows):
+    def interrupted(self):
         if self.step == step:
             raise Interrupt
-        advance(self, rows)
+        advance(self)
 
     monkeypatch.setattr(_Run, "advance", interrupted)
 
@@ -84,7 +86,7 @@ from inflate_lib.diffusion.training import _Run
 train(*data(), config(learning_rate_decay="cosine"), sys.argv[1], progress=False, threads=1)
 """
 DEATHS = {
-    "before the first checkpoint": "die(_Run, 'advance', lambda run, rows: run.step == 5)",
+    "before the first checkpoint": "die(_Run, 'advance', lambda run: run.step == 5)",
     "with half a checkpoint written": """
 save = _storage.save
 _storage.save = lambda *content, **more: save(*content, **more)[:1000]  # the first part of the bytes reaches the disk
@@ -97,7 +99,7 @@ def cut(*content, **more):
     return save(*content, **more)[: 1000 if len(saved) == 2 else None]
 _storage.save = cut
 die(os, 'fsync', lambda file: len(saved) == 2)""",
-    "in the last step": "die(_Run, 'advance', lambda run, rows: run.step == 23)",
+    "in the last step": "die(_Run, 'advance', lambda run: run.step == 23)",
 }
 
 
@@ -141,7 +143,7 @@ def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tmp_path):
 def test_a_full_disk_stops_with_a_message_and_keeps_the_old_checkpoint(step, kept, tmp_path):
     """The limit on the size of a file stands in for the disk: the next checkpoint meets it in the middle."""
     limit = f"""
-def full(run, rows):
+def full(run):
     if run.step == {step}:
         resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
 die(_Run, 'advance', full)"""
@@ -165,8 +167,8 @@ def test_weights_that_are_lost_in_the_very_last_step_are_not_saved(tmp_path, mon
 
     advance = _Run.advance
 
-    def explode(self, rows):
-        advance(self, rows)
+    def explode(self):
+        advance(self)
         if self.step == 16:  # the loss of this step was still finite
             with torch.no_grad():
                 self.net.out.bias.fill_(float("inf"))
@@ -182,11 +184,11 @@ def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monk
 
     advance = _Run.advance
 
-    def explode(self, rows):
+    def explode(self):
         if self.step == 12:
             with torch.no_grad():
                 self.net.out.bias.fill_(float("nan"))
-        advance(self, rows)
+        advance(self)
 
     monkeypatch.setattr(_Run, "advance", explode)
     with pytest.raises(FloatingPointError, match=r"loss became nan between steps 12 and 15.*last good state"):

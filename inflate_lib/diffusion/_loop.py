@@ -1,0 +1,256 @@
+"""The training loop of every network here: Adam, checkpoints, a history of the loss, lines of progress.
+
+A run that was interrupted goes on from its last checkpoint and ends as if nothing had happened, to the last bit.
+"""
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from inflate_lib._progress import Progress
+from inflate_lib.diffusion import _ranks, _storage
+from inflate_lib.diffusion._logs import Log
+from inflate_lib.diffusion._random import random_generator
+
+CHECKPOINT = "checkpoint.safetensors"
+WARMUP = 50  # steps, of :func:`fit`
+PIECES = 20  # of a run of :func:`fit`, each with a checkpoint and an entry of the history
+
+
+class Loop:
+    """A training run: what a checkpoint stores, and what a step changes.
+
+    A kind of training is a subclass, which says in :meth:`descend` what a step learns, in :meth:`rate` how quickly.
+    Under ``torchrun`` the processes add up their gradients, and the first one alone reads and writes files.
+
+    Parameters
+    ----------
+    net
+        On its device already.
+    total, batch_size
+        Steps in all, and pairs in each.
+    learning_rate
+        The largest.
+    log_every, checkpoint_every
+        Steps that an entry of the history averages, and between two checkpoints.
+    folder
+        Where checkpoints go, if anywhere.
+    identity
+        What tells a checkpoint of this run from that of another.
+    """
+
+    parts: tuple[str, ...] = ("loss",)  # that a step returns; the history holds the averages of each
+
+    def __init__(
+        self,
+        net: nn.Module,
+        total: int,
+        batch_size: int,
+        learning_rate: float,
+        log_every: int,
+        checkpoint_every: int,
+        folder: Path | None,
+        identity: Mapping,
+    ):
+        self.net, self.total, self.batch_size, self.learning_rate = net, total, batch_size, learning_rate
+        self.log_every, self.checkpoint_every = log_every, checkpoint_every
+        self.path, self.identity = None if folder is None else Path(folder) / CHECKPOINT, identity
+        self.parameters = list(net.parameters())
+        self.device = self.parameters[0].device
+        on_gpu = self.device.type == "cuda"
+        self.optimiser = torch.optim.Adam(self.parameters, lr=learning_rate, fused=on_gpu)
+        for p in self.parameters:  # what Adam itself would begin with
+            step = torch.zeros((), device=self.device if on_gpu else "cpu")
+            self.optimiser.state[p] = {"step": step, "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
+            p.grad = torch.zeros_like(p)
+        self.step, self.history = 0, {name: [] for name in ("step", *self.parts)}
+        self.seconds, self.per_step = 0.0, []  # spent in all; of one step, on average between entries of the history
+        self.sums, self.summed = torch.zeros(len(self.parts), device=self.device), 0  # since the last such entry
+
+    def descend(self) -> Tensor:
+        """Add the gradient of this step's loss to that of the parameters; return its parts, the loss first."""
+        raise NotImplementedError
+
+    def rate(self) -> float:
+        """Learning rate of this step."""
+        raise NotImplementedError
+
+    def settle(self) -> None:
+        """What else there is to do after a step of the optimiser."""
+
+    def state(self) -> dict[str, Tensor]:
+        """Every tensor that a step changes, by its name in the checkpoint."""
+        tensors = {}
+        for name, p in self.net.named_parameters():
+            tensors[f"net.{name}"] = p.detach()
+            tensors |= {f"adam.{name}.{key}": value for key, value in self.optimiser.state[p].items()}
+        return tensors
+
+    def run(self, progress: bool | str, log: Path | None = None) -> None:
+        """Train to the end, from the last checkpoint if there is one.
+
+        `progress` is False for silence, or what to call the training in lines of progress; `log` is a folder for
+        ``history.csv`` and TensorBoard events.
+        """
+        self.resume()
+        first, report, rows = _ranks.rank() == 0, None, None
+        if first and progress is not False:
+            report = Progress(progress if isinstance(progress, str) else "training", self.total, "steps", self.step)
+        if first and log is not None:
+            rows = Log(Path(log), self.step)
+        started = time.monotonic() - self.seconds
+        while self.step < self.total:
+            self.advance()
+            done = self.step == self.total
+            checkpoint = done or self.step % self.checkpoint_every == 0
+            if self.summed and (checkpoint or self.step % self.log_every == 0):
+                steps = self.summed
+                self.note()
+                before, self.seconds = self.seconds, time.monotonic() - started
+                self.per_step.append((self.seconds - before) / steps)
+                if rows is not None:
+                    rows.add(**{name: values[-1] for name, values in self.history.items()}, seconds=self.seconds)
+            if report and (done or report.due()):
+                loss = f"loss {self.history['loss'][-1]:.4f}" if self.history["loss"] else ""
+                report.tell_time(self.step, loss, f"{report.rate(self.step) * self.batch_size:.0f} images/s")
+            if checkpoint and self.path is not None and first:
+                self.save()
+
+    def advance(self) -> None:
+        """One step."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.rate()
+        self.optimiser.zero_grad(set_to_none=False)  # a process without a row in this batch has a gradient, too
+        losses = self.descend()
+        _ranks.add_up([*(p.grad for p in self.parameters), losses])
+        self.optimiser.step()
+        with torch.no_grad():
+            self.sums += losses
+            self.settle()
+        self.step += 1
+        self.summed += 1
+
+    def note(self) -> None:
+        """Make an entry of the history; stop if the loss is lost."""
+        averages = (self.sums / self.summed).tolist()
+        if not math.isfinite(averages[0]):
+            between = f"between steps {self.step - self.summed} and {self.step}"
+            raise self.lost(f"the training loss became {averages[0]} {between}")
+        for name, value in zip(self.history, (self.step, *averages), strict=True):
+            self.history[name].append(value)
+        self.sums.zero_()
+        self.summed = 0
+
+    def lost(self, what: str) -> FloatingPointError:
+        kept = f" The last good state is in {self.path}." if self.path is not None and self.path.exists() else ""
+        return FloatingPointError(f"{what}; try a smaller learning rate than {self.learning_rate}.{kept}")
+
+    def save(self) -> None:
+        tensors = self.state()
+        if not all(bool(tensor.isfinite().all()) for tensor in tensors.values()):
+            raise self.lost(f"the weights are no longer finite after step {self.step}")
+        content = {**self.identity, "step": self.step, "history": self.history, "seconds": self.seconds}
+        try:
+            _storage.write(self.path, "checkpoint", tensors, content)
+        except OSError as error:
+            kept = "the checkpoint before it is kept" if self.path.exists() else "there is no checkpoint yet"
+            raise OSError(error.errno, f"{error.strerror} at step {self.step} ({kept})", str(self.path)) from error
+
+    def resume(self) -> None:
+        """Go on from the checkpoint; all processes take over what the first one read."""
+        if self.path is not None and self.path.exists() and _ranks.rank() == 0:
+            self.restore()
+        _ranks.copy(list(self.state().values()), self.device)
+        self.step, self.history = _ranks.share((self.step, self.history))
+
+    def restore(self) -> None:
+        try:
+            tensors, content = _storage.read(self.path, "checkpoint")
+        except ValueError as error:
+            raise ValueError(f"{error}; delete the file to start over") from None
+        if {name: content.get(name) for name in self.identity} != self.identity:
+            raise ValueError(
+                f"{self.path} belongs to a run with another configuration or other data; "
+                "choose another folder, or delete the file to start over"
+            )
+        _storage.fill(self.state(), tensors, self.path)
+        self.step, self.history, self.seconds = (content[name] for name in ("step", "history", "seconds"))
+
+    def spent(self) -> dict:
+        """Seconds in all, the device, and the median of the seconds of a step."""
+        gpu = self.device.type == "cuda"
+        device = torch.cuda.get_device_name(self.device) if gpu else self.device.type
+        step = {"seconds_per_step": float(np.median(self.per_step))} if self.per_step else {}
+        return {"seconds": round(self.seconds, 1), "device": device, **step}
+
+
+class _Fit(Loop):
+    """The loop of :func:`fit`."""
+
+    def __init__(self, net: nn.Module, loss: Callable, n: int, steps: int, batch_size: int, seed: int, **options):
+        every = max(1, math.ceil(steps / PIECES))
+        options |= {"log_every": every, "checkpoint_every": every}
+        identity = {"steps": steps, "batch_size": batch_size, "seed": seed}
+        super().__init__(net, steps, min(batch_size, n), identity=identity, **options)
+        self.loss, self.n, self.seed = loss, n, seed
+
+    def descend(self) -> Tensor:
+        generator = random_generator(self.seed, 5, self.step)
+        rows = torch.randint(self.n, (self.batch_size,), generator=generator)
+        value = self.loss(rows, generator)
+        value.backward()
+        return value.detach()[None]
+
+    def rate(self) -> float:
+        decay = 0.5 * (1 + math.cos(math.pi * self.step / self.total))
+        return self.learning_rate * (min(1.0, (self.step + 1) / WARMUP) * decay)
+
+
+def fit(
+    net: nn.Module,
+    loss: Callable[[Tensor, torch.Generator], Tensor],
+    n: int,
+    steps: int,
+    batch_size: int = 64,
+    learning_rate: float = 2e-3,
+    seed: int = 0,
+    folder: Path | None = None,
+    progress: bool | str = False,
+) -> tuple[list[float], float]:
+    """Train one of the small networks beside the diffusion model, in place; a warm-up, then a cosine decay.
+
+    Parameters
+    ----------
+    net
+        Module whose parameters `loss` depends on.
+    loss
+        ``loss(rows, generator)`` → mean loss of the pairs with these numbers; draws random numbers from the generator.
+    n
+        Number of pairs.
+    steps, batch_size, learning_rate, seed
+        Of the optimisation; every step has a generator of its own.
+    folder
+        Where a checkpoint is kept.
+    progress
+        What to call the training in lines of progress; False for silence.
+
+    Returns
+    -------
+    history : list of float
+        Loss, averaged over twentieths of the run.
+    seconds : float
+        Wall-clock seconds, those before an interruption included.
+
+    Raises
+    ------
+    FloatingPointError
+        The loss is no longer finite.
+    """
+    run = _Fit(net, loss, n, steps, batch_size, seed, learning_rate=learning_rate, folder=folder)
+    run.run(progress)
+    return run.history["loss"], run.seconds
