@@ -1,0 +1,171 @@
+"""A descriptor of a user's own goes through the whole library by its name; and what cannot be registered is refused."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from inflate_lib import describe, design, inflate, label_image, load_sevens, simulate_dataset
+from inflate_lib.datasets import simulate
+from inflate_lib.datasets.pairs import training_pairs
+from inflate_lib.descriptors import (
+    DESCRIPTORS,
+    PHYSICAL,
+    Descriptor,
+    added_version,
+    columns,
+    descriptor_matrix,
+    get_descriptor,
+    joint_conditions,
+    name_of,
+    register,
+    registry,
+)
+from inflate_lib.diffusion import train
+from inflate_lib.experiments.metrics import errors
+from inflate_lib.experiments.run import judge, run_experiment
+from inflate_lib.experiments.tables import accuracy, score, scores
+from inflate_lib.inverse import search
+from inflate_lib.models.train import training_config
+from inflate_lib.models.weights import Model
+from inflate_lib.plotting.designs import plot_designs
+from inflate_lib.plotting.results import plot_generated
+
+DIGITS = load_sevens("digits").images
+TRAINING = {"channels": [4, 8], "embedding": 16, "steps": 2, "batch_size": 8, "learning_rate": 1e-3}
+FAST = {"sampler": "ddim", "steps": 2}
+
+
+def slenderness(shape):
+    width, height = np.ptp(shape.nodes, axis=0)
+    return height / width
+
+
+def draw_slenderness(ax, target, nodes, **style):
+    left, bottom = nodes.min(axis=0)
+    ax.plot([left, left], [bottom, bottom + target[0] * np.ptp(nodes[:, 0])], gid="slenderness", **style)
+
+
+def lean(shape):
+    """How far the highest and the rightmost node are right of the middle of the hull's box."""
+    middle = (shape.nodes[:, 0].min() + shape.nodes[:, 0].max()) / 2
+    return shape.nodes[shape.nodes[:, 1].argmax(), 0] - middle, np.ptp(shape.nodes[:, 0]) / 2
+
+
+def air(shape):
+    start, end = np.moveaxis(shape.nodes[shape.result.mesh.pressure_edges], 1, 0)
+    return np.sum(start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]) / 2
+
+
+@pytest.fixture(autouse=True)
+def own(monkeypatch):
+    """Three descriptors; the registry, which lives as long as the process, forgets them afterwards."""
+    monkeypatch.setattr(registry, "_registry", dict(registry._registry))
+    register(Descriptor("slenderness", "r", slenderness, draw=draw_slenderness))
+    register(Descriptor("lean", "l", lean, components=("top", "half"), unit="side", flip=lambda rows: rows * [-1, 1]))
+    register(Descriptor("air", "V", air, unit="side²", of_nodes=False))
+
+
+@pytest.fixture
+def data(own):
+    return simulate_dataset(DIGITS[:40], n_jobs=1, n_steps=2, progress_text=False)
+
+
+def test_it_is_simulated_and_stored_like_the_others(data, monkeypatch):
+    np.testing.assert_allclose(data["slenderness"], data["height"] / data["width"], rtol=1e-14)
+    assert data["lean"].dims == ("structure", "lean_component")
+    one = describe(inflate(label_image(DIGITS[3]), n_steps=2))
+    for name in ("slenderness", "lean", "air"):
+        np.testing.assert_allclose(one.vector(name), descriptor_matrix(data, name)[3], rtol=1e-9)
+    assert one.vector("air") > 0 and np.isnan(describe([[0, 0], [1, 0], [0, 1]]).vector("air"))
+    monkeypatch.setattr(simulate, "ALONE", 0)  # other processes, which know of no descriptor of ours
+    elsewhere = simulate_dataset(DIGITS[:4], n_jobs=2, n_steps=2, progress_text=False)
+    np.testing.assert_allclose(elsewhere["air"], data["air"][:4], rtol=1e-9)
+
+
+def test_a_flip_does_to_it_what_it_says(data):
+    images, lean_of = training_pairs(data, "lean", 150)
+    again = simulate_dataset(images[-30:], n_jobs=1, n_steps=2, progress_text=False)
+    assert (lean_of[-30:, 0] < 0).any() and (lean_of[-30:, 0] > 0).any()
+    np.testing.assert_allclose(descriptor_matrix(again, "lean"), lean_of[-30:], atol=1e-6)
+
+
+def test_it_goes_from_training_to_a_drawing(data, monkeypatch):
+    pairs = training_pairs(data, "slenderness", 100)
+    model = train(*pairs, training_config("slenderness", TRAINING), progress=False)
+    assert pairs[1].shape[1:] == (1,) and model.condition_max[0] == pytest.approx(pairs[1].max())
+    targets = np.quantile(pairs[1], [0.2, 0.5])[:, None]
+    drawn = run_experiment(model, "slenderness", targets, 2, FAST, n_jobs=1)
+    assert drawn.sizes["structure"] == 4 and "slenderness" in drawn
+    with pytest.raises(ValueError, match=r"target 0 asks for r = 9"):
+        run_experiment(model, "slenderness", [[9.0]], 2, FAST)
+
+    known = judge(DIGITS[:8], "slenderness", targets, np.repeat([0, 1], 4), n_jobs=1)
+    valid, reached = known["valid"].values, known["slenderness"].values
+    relative = np.abs(reached / np.repeat(targets, 4) - 1)
+    np.testing.assert_allclose(errors(known, "slenderness"), relative)
+    measured = scores(known, "slenderness", data, n_resamples=20)
+    assert score(measured, "median error / target") == pytest.approx(100 * np.median(relative[valid]))
+    assert accuracy(known, "slenderness")["mean r"][0] == pytest.approx(reached[:4][valid[:4]].mean())
+    fig = plot_generated(known, "slenderness", 2)
+    assert len(fig.findobj(lambda artist: artist.get_gid() == "slenderness")) == 4
+    assert any("$r$" in text.get_text() for text in fig.findobj(plt.Text))
+
+    assert Model("slenderness", model, FAST, {}, data).draw({"slenderness": targets[0, 0]}, 2).shape == (2, 28, 28)
+    monkeypatch.setattr(search, "generate", lambda *_, **__: DIGITS[:40].astype(np.float32) / 255)
+    found = design(
+        {"slenderness": reached[2], "width": float(known["width"][2])}, 2, model=("slenderness", model), data=known,
+        max_candidates=40, refine=2, n_jobs=1, say=None,
+    )  # fmt: skip
+    assert found.designs[0].error < 1e-9 and set(found.designs[0].deviations) == {"slenderness", "width"}
+    assert found.targets.as_dict()["slenderness"] == [pytest.approx(reached[2])]
+    fig = plot_designs(found)
+    lines = fig.findobj(lambda artist: artist.get_gid() == "slenderness")
+    assert len(lines) == len(found.designs)
+    assert np.ptp(lines[0].get_ydata()) == pytest.approx(reached[2] * np.ptp(found.designs[0].result.deformed()[:, 0]))
+    plt.close("all")
+    with pytest.raises(ValueError, match=r"slenderness 9 is out of reach"):
+        design({"slenderness": 9}, model=("slenderness", model), data=data)
+    for wrong in ("tall", np.nan, [1.0, 2.0], None):
+        with pytest.raises(ValueError, match=r"slenderness must be 1 finite number|nothing is asked for"):
+            design({"slenderness": wrong}, model=("slenderness", model), data=data)
+
+
+def test_results_that_are_kept_know_which_descriptors_they_hold(monkeypatch):
+    with_three = added_version()
+    register(Descriptor("air", "V", slenderness))
+    other = added_version()
+    monkeypatch.setattr(registry, "_registry", {name: get_descriptor(name) for name in registry.OWN})
+    assert added_version() == "" and len({with_three, other, ""}) == 3
+    register(Descriptor("air", "V", eval("lambda shape: 1.0")))
+    with pytest.raises(ValueError, match="air: the source of its function cannot be found"):
+        added_version()
+
+
+def test_data_from_before_lack_it(data):
+    with pytest.raises(ValueError, match="no variable air: register air before"):
+        descriptor_matrix(data.drop_vars("air"), "air")
+
+
+@pytest.mark.parametrize(
+    ("descriptor", "message"),
+    [
+        ({"name": "height", "symbol": "H", "measure": air}, "height is a descriptor of the library's own"),
+        ({"name": "label", "symbol": "L", "measure": air}, "a variable label already"),
+        ({"name": "mine", "symbol": "m"}, "either a function measures it, or it has parts"),
+        ({"name": "mine", "symbol": "m", "parts": ("hight",)}, "unknown descriptor 'hight'; choose one of height"),
+        ({"name": "mine", "symbol": "m", "measure": air, "sizes": {"k": 3}}, "1 components do not fill the sizes"),
+    ],
+)
+def test_what_cannot_be_registered_is_refused(descriptor, message):
+    with pytest.raises(ValueError, match=message):
+        register(Descriptor(**descriptor))
+
+
+def test_descriptors_together_have_a_name_and_their_columns():
+    assert name_of(["width", "height"]) == "box" and name_of(["area"]) == "area"
+    assert name_of(["area", "height"]) == "height+area"
+    assert get_descriptor("height+area").components == ("h", "A")
+    assert columns("box", ("width", "area", "height")).tolist() == [0, 2]
+    assert get_descriptor("joint").length == sum(get_descriptor(name).length for name in (*DESCRIPTORS, *PHYSICAL)) - 2
+    with pytest.raises(ValueError, match=r"the joint model takes height, width, .*, not air"):
+        joint_conditions("air", [[0.3]])
