@@ -8,7 +8,7 @@ PIP     := $(BIN)/python -m pip --disable-pip-version-check
 NEEDS   := pyproject.toml constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-dev book pdf reproduce figures test lab lint clean
+.PHONY: help install install-dev book pdf reproduce figures readme test lab lint clean
 
 help: ## show the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -25,6 +25,9 @@ reproduce: .venv/installed ## execute what is not fresh under PROFILE, without t
 
 figures: .venv/installed ## execute the profile laptop and publish its figures in figures/laptop, which git keeps
 	$(BIN)/inflate reproduce --profile laptop --jobs $(JOBS) --publish
+
+readme: .venv/installed ## write the quickstart and the results into README.md anew
+	$(BIN)/python -m inflate_lib.book.readme
 
 test: .venv/installed-dev ## run the tests
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile

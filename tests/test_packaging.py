@@ -102,23 +102,6 @@ def test_versions_agree_everywhere(project, pins):
     assert not others
 
 
-def test_the_readme_names_only_commands_that_exist():
-    targets = set(re.findall(r"^([a-z]+):", read("Makefile"), flags=re.M))
-    for text in (read("README.md"), read("book/index.md"), read(".ci/run")):
-        used = set(re.findall(r"(?:^|`|\$ |step )make ([a-z]+)", text, flags=re.M))
-        assert {"book", "test"} <= used
-        assert used <= targets, f"the Makefile lacks {used - targets}"
-
-
-def test_the_readme_names_only_subcommands_that_exist():
-    from typer.main import get_command
-
-    from inflate_lib.cli.app import load_commands
-
-    used = set(re.findall(r"\binflate ([a-z]+)(?= --|  )", read("README.md")))
-    assert {"reproduce", "book"} <= used <= set(get_command(load_commands()).commands)
-
-
 def test_ci_runs_what_the_readme_says():
     script = read(".ci/run")
     assert script.index("make test") < script.index("make book PROFILE=ci") < script.index("-m book")

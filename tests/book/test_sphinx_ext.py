@@ -124,7 +124,8 @@ def test_every_table_of_a_notebook_has_a_caption_and_a_name_of_its_own():
 def test_every_standing_page_is_in_the_contents():
     contents = yaml.safe_load((paths.BOOK / "_toc.yml").read_text(encoding="utf-8"))
     listed = {chapter["file"] for part in contents["parts"] for chapter in part["chapters"]} | {contents["root"]}
-    assert {path.stem for path in paths.BOOK.glob("*.md")} <= listed
+    pages = [*paths.BOOK.glob("*.md"), *paths.BOOK.glob("commands/*.md")]
+    assert {path.relative_to(paths.BOOK).with_suffix("").as_posix() for path in pages} <= listed
 
 
 def test_a_browser_is_found_where_it_is_named_or_usual(tmp_path, monkeypatch):

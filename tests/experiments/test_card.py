@@ -2,7 +2,6 @@
 
 import pytest
 
-from inflate_lib import paths
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.experiments.card import write_card
@@ -57,17 +56,3 @@ def test_weights_that_are_missing_or_of_other_data_are_refused(folder, data, tmp
         write_card(tmp_path / "nothing", data, SAMPLING)
     with pytest.raises(ValueError, match=r"axis\.safetensors was trained on other data"):
         write_card(folder, data.isel(structure=slice(0, 50)), SAMPLING)
-
-
-def test_readme_quotes_the_card_of_the_committed_weights():
-    readme = (paths.ROOT / "README.md").read_text(encoding="utf-8")
-    card = (paths.PRETRAINED / "laptop" / "README.md").read_text(encoding="utf-8").split("## Accuracy")[1]
-    lines = [line.strip("|").split("|") for line in card.splitlines() if line.startswith("| ")]
-    rows = [[cell.strip() for cell in line] for line in lines]
-    column = {title: rows[0].index(title) for title in rows[0]}
-    assert len(rows) == 1 + 5 + 7  # heading, five models, the joint one asked for seven things
-    for row in rows[1:]:
-        percent, pixels = row[column["median error (%)"]], row[column["median point distance (px)"]]
-        median = f"{percent} %" if percent != "–" else f"{pixels} px"
-        line = f"| {row[0]} | {row[column['R²']]} | {median} | {row[column['valid (%)']]} % |"
-        assert line in readme, f"the results in README.md are not those of the model card: {line}"

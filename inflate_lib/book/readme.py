@@ -1,0 +1,51 @@
+"""What README.md shows and another file says: the quickstart, and the results of the committed weights.
+
+``python -m inflate_lib.book.readme`` (``make readme``) writes both anew, between the comments that name them.
+"""
+
+import re
+
+from inflate_lib import paths
+from inflate_lib.descriptors import DESCRIPTORS
+
+
+def renewed(text: str) -> str:
+    """Markdown with its generated parts made anew.
+
+    Raises
+    ------
+    ValueError
+        A part is missing, or there more than once.
+    """
+    for name, make in {"quickstart": quickstart, "results": results}.items():
+        begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
+        pieces = re.split(f"{begin}.*?{end}", text, flags=re.DOTALL)
+        if len(pieces) != 2:
+            raise ValueError(f"README.md must have one part between {begin.strip()} and {end.strip()}")
+        text = f"{begin}{make()}{end}".join(pieces)
+    return text
+
+
+def quickstart() -> str:
+    """``examples/quickstart.py`` as a block of code."""
+    code = (paths.ROOT / "examples" / "quickstart.py").read_text(encoding="utf-8")
+    return f"```python\n{code}```"
+
+
+def results() -> str:
+    """What the model card of the laptop weights measured, in short: a table with a row for each descriptor."""
+    card = (paths.PRETRAINED / "laptop" / "README.md").read_text(encoding="utf-8").split("## Accuracy")[1]
+    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in card.splitlines() if line.startswith("| ")]
+    measured = {row[0]: dict(zip(table[0], row, strict=True)) for row in table[1:]}
+    lines = ["| model | R² | median error | valid |", "|---|---|---|---|"]
+    for name in DESCRIPTORS:
+        row = measured[name]
+        percent = row["median error (%)"]
+        median = f"{row['median point distance (px)']} px" if percent == "–" else f"{percent} %"
+        lines.append(f"| {name} | {row['R²']} | {median} | {row['valid (%)']} % |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    file = paths.ROOT / "README.md"
+    file.write_text(renewed(file.read_text(encoding="utf-8")), encoding="utf-8")
