@@ -32,7 +32,7 @@ results = [result for result in results if result.converged]
 heights = np.array([describe(result).height for result in results])
 best = np.abs(heights - wanted).argmin()
 
-print(f"{len(results)} of {len(drawn)} drawings inflate; wanted height {wanted}, achieved {heights.mean():.3f} on average")
+print(f"{len(results)} of {len(drawn)} drawings inflate; wanted height {wanted}, on average {heights.mean():.3f}")
 print(f"the best is {heights[best]:.4f} high, {100 * abs(heights[best] / wanted - 1):.3f} % off")
 picture = write_picture(results[best], sys.argv[1] if len(sys.argv) > 1 else "quickstart.png")
 print(f"before and after inflation: {picture}")

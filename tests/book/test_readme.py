@@ -12,7 +12,9 @@ def test_generating_the_readme_changes_nothing():
 
 
 def test_a_changed_part_is_made_anew_and_the_rest_left_alone():
-    text = "a\n<!-- quickstart -->\nold\n<!-- end of quickstart -->\nb\n<!-- results -->\n| 1 |\n<!-- end of results -->\nc\n"
+    text = (
+        "a\n<!-- quickstart -->\nold\n<!-- end of quickstart -->\nb\n<!-- results -->\n\n<!-- end of results -->\nc\n"
+    )
     new = renewed(text)
     assert "old" not in new and "label_image(" in new
     assert new.startswith("a\n<!-- quickstart -->\n```python\n") and new.endswith("\n<!-- end of results -->\nc\n")
