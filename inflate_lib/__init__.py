@@ -12,25 +12,37 @@ The packages follow the paper, and imports run down this list alone (``make lint
     alternatives, plotting, io, inverse                      beyond the paper
     book, cli                                                how it is shown
 
-The names below are imported on first use, so that ``import inflate_lib`` is instant and ``import inflate_lib.diffusion``
-needs PyTorch, NumPy and safetensors only.
+The names below are imported on first use, so that ``import inflate_lib`` is instant, and ``import
+inflate_lib.diffusion`` needs PyTorch, NumPy and safetensors only.
 """
+
+from typing import TYPE_CHECKING
 
 from inflate_lib._lazy import attach
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "structures.sources": ["load_sevens"],
-        "structures.labels": ["label_image"],
-        "mechanics.mesh": ["build_mesh"],
-        "mechanics.inflation": ["inflate"],
-        "mechanics.contact": ["self_contact"],
-        "descriptors": ["describe"],
-        "datasets.simulate": ["simulate_dataset", "simulated_sevens"],
-        "models.weights": ["load_model"],
-        "inverse.search": ["design"],
-    },
-)
+if TYPE_CHECKING:
+    from inflate_lib.datasets.simulate import simulate_dataset, simulated_sevens
+    from inflate_lib.descriptors import describe
+    from inflate_lib.inverse.search import design
+    from inflate_lib.mechanics.contact import self_contact
+    from inflate_lib.mechanics.inflation import inflate
+    from inflate_lib.mechanics.mesh import build_mesh
+    from inflate_lib.models.weights import load_model
+    from inflate_lib.structures.labels import label_image
+    from inflate_lib.structures.sources import load_sevens
+
+__all__ = [
+    "build_mesh",
+    "describe",
+    "design",
+    "inflate",
+    "label_image",
+    "load_model",
+    "load_sevens",
+    "self_contact",
+    "simulate_dataset",
+    "simulated_sevens",
+]
+__getattr__, __dir__ = attach(__name__, __file__)

@@ -1,8 +1,12 @@
 """ARCHITECTURE.md, the contract of imports and the reference speak of the library as it is."""
 
+import inspect
 import pkgutil
 import re
 import tomllib
+from importlib import import_module
+
+import pytest
 
 import inflate_lib
 from inflate_lib import paths
@@ -40,3 +44,11 @@ def test_the_reference_has_every_package_that_is_no_command():
     listed = re.findall(r"^\.\. public:: inflate_lib\.(\w+)$", read("book/api.md"), flags=re.M)
     assert len(set(listed)) == len(listed)
     assert set(listed) - {"descriptors"} == PACKAGES - {"cli", "descriptors"}
+
+
+@pytest.mark.parametrize("name", sorted(PACKAGES - {"cli"}))
+def test_no_public_name_is_hidden_by_a_module(name):
+    package = import_module(f"inflate_lib.{name}")
+    assert not set(package.__all__) & {module.name for module in pkgutil.iter_modules(package.__path__)}
+    for public in package.__all__:
+        assert not inspect.ismodule(getattr(package, public))

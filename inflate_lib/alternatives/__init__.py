@@ -1,15 +1,26 @@
-"""What else could be done: chance, retrieval, an autoencoder, a surrogate, steering, the best of many, other recipes."""
+"""What else could be done: chance, retrieval, an autoencoder, a surrogate, steering, best of many, other recipes."""
+
+from typing import TYPE_CHECKING
 
 from inflate_lib._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "retrieval": ["random_structures", "retrieved_structures"],
-        "autoencoder": ["run_autoencoder", "train_autoencoder"],
-        "surrogate": ["train_surrogate"],
-        "steering": ["steer"],
-        "best_of": ["selection"],
-        "ablation": ["sampling_ablation", "training_variants"],
-    },
-)
+if TYPE_CHECKING:
+    from inflate_lib.alternatives.ablation import sampling_ablation, training_variants
+    from inflate_lib.alternatives.autoencoder import run_autoencoder, train_autoencoder
+    from inflate_lib.alternatives.best_of import selection
+    from inflate_lib.alternatives.retrieval import random_structures, retrieved_structures
+    from inflate_lib.alternatives.steering import steer
+    from inflate_lib.alternatives.surrogate import train_surrogate
+
+__all__ = [
+    "random_structures",
+    "retrieved_structures",
+    "run_autoencoder",
+    "sampling_ablation",
+    "selection",
+    "steer",
+    "train_autoencoder",
+    "train_surrogate",
+    "training_variants",
+]
+__getattr__, __dir__ = attach(__name__, __file__)

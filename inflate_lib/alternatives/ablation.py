@@ -91,8 +91,8 @@ def sampling_ablation(model, descriptor, data, targets, sampling, seed=0, n_cali
 def evaluate_variant(model, descriptor, data, targets, sampling, seed=0, n_jobs=-1, n_calibration=N_CALIBRATION):
     """Measures of one model on given targets; those outside the range that it was trained on count as well.
 
-    The targets are calibrated (:mod:`inflate_lib.models.calibration`), unless the model does not listen enough for that, or
-    `n_calibration` is 0.
+    The targets are calibrated (:mod:`inflate_lib.models.calibration`), unless the model does not listen enough for
+    that, or `n_calibration` is 0.
     """
     calibration = None
     with warnings.catch_warnings():

@@ -163,7 +163,7 @@ def nearest_width(n_conditions, n_parameters):
 
 
 def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1, calibration=None):
-    """Structures that an autoencoder draws for targets (k, N), one each, as :func:`.experiments.run.run_experiment` does."""
+    """One structure that an autoencoder draws for each target (k, N), as :func:`.run_experiment` does."""
     targets = check_targets(model, descriptor, targets)
     told = targets if calibration is None else calibration.told(targets)
 
@@ -183,7 +183,7 @@ def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1, calibration=N
 
 
 def calibrate_autoencoder(model, descriptor, data, seed=0, n=200, n_jobs=-1):
-    """Measure how an autoencoder answers (:mod:`inflate_lib.models.calibration`); None where n is 0 or it hardly listens."""
+    """How an autoencoder answers (:mod:`inflate_lib.models.calibration`); None where n is 0 or it hardly listens."""
     if n == 0:
         return None
     known = descriptor_matrix(data, descriptor)[training_rows(data)]

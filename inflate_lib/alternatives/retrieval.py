@@ -11,7 +11,7 @@ from inflate_lib.experiments.run import as_experiment
 
 
 def random_structures(data, descriptor, targets, seed=0):
-    """A real structure for each target, whatever the target, as an experiment (:func:`.experiments.run.as_experiment`)."""
+    """A real structure for each target, whatever the target, as an experiment (:func:`.as_experiment`)."""
     rows = np.random.default_rng(seed).choice(training_rows(data), len(targets))
     return as_experiment(data.isel(structure=rows), descriptor, np.asarray(targets))
 

@@ -34,8 +34,8 @@ LARGEST = 0.5  # change of a pixel in one step, of the range from −1 to 1
 def soft_label(images: Tensor) -> Tensor:
     """Label images (n, 28, 28) of images (n, 28, 28) in [0, 1], differentiable, in the middle of the bottom edge.
 
-    :func:`inflate_lib.structures.labels.label_image` without what is about broken drawings (pieces, holes): the threshold is a
-    sigmoid, the wall a maximum filter, and the move into the frame a choice of pixels.
+    :func:`inflate_lib.structures.labels.label_image` without what is about broken drawings (pieces, holes): the
+    threshold is a sigmoid, the wall a maximum filter, and the move into the frame a choice of pixels.
     """
     digit = F.pad(torch.sigmoid(SHARPNESS * (images - labels.THRESHOLD)), [labels.THICKNESS] * 4)
     label = (digit + F.max_pool2d(digit[:, None], 2 * labels.THICKNESS + 1, 1, labels.THICKNESS)[:, 0]) / 2

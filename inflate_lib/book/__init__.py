@@ -1,13 +1,14 @@
 """The book: profiles, pages and what they publish, runs of the notebooks, the built pages."""
 
+from typing import TYPE_CHECKING
+
 from inflate_lib._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "page": ["Page", "recorded"],
-        "profiles": ["load_profile"],
-        "run": ["reproduce"],
-        "build": ["build_book"],
-    },
-)
+if TYPE_CHECKING:
+    from inflate_lib.book.build import build_book
+    from inflate_lib.book.page import Page, recorded
+    from inflate_lib.book.profiles import load_profile
+    from inflate_lib.book.run import reproduce
+
+__all__ = ["Page", "build_book", "load_profile", "recorded", "reproduce"]
+__getattr__, __dir__ = attach(__name__, __file__)

@@ -1,13 +1,22 @@
 """Many structures, inflated and described (paper sec. 3): made, stored, split, and paired for training."""
 
+from typing import TYPE_CHECKING
+
 from inflate_lib._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "simulate": ["simulate_dataset", "simulated_sevens"],
-        "storage": ["load_dataset", "save_dataset"],
-        "split": ["held_out", "training_rows"],
-        "pairs": ["training_pairs"],
-    },
-)
+if TYPE_CHECKING:
+    from inflate_lib.datasets.pairs import training_pairs
+    from inflate_lib.datasets.simulate import simulate_dataset, simulated_sevens
+    from inflate_lib.datasets.split import held_out, training_rows
+    from inflate_lib.datasets.storage import load_dataset, save_dataset
+
+__all__ = [
+    "held_out",
+    "load_dataset",
+    "save_dataset",
+    "simulate_dataset",
+    "simulated_sevens",
+    "training_pairs",
+    "training_rows",
+]
+__getattr__, __dir__ = attach(__name__, __file__)

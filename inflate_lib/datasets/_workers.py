@@ -1,7 +1,7 @@
 """Who simulates: processes of this machine (joblib), or an existing Dask cluster, each task counted once.
 
-To a cluster the tasks go out as Dask futures and not through joblib's Dask backend, which keeps the arguments of a task on one
-worker only, where they are lost with it, and which cannot hand over results as they come.
+To a cluster the tasks go out as Dask futures and not through joblib's Dask backend, which keeps the arguments of a task
+on one worker only, where they are lost with it, and which cannot hand over results as they come.
 """
 
 from itertools import islice

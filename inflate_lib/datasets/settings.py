@@ -1,4 +1,4 @@
-"""The choices behind the simulation that can be made otherwise, and the data set under each of them (calibration study)."""
+"""Choices behind the simulation that can be made otherwise, and the data set under each of them (calibration study)."""
 
 from dataclasses import dataclass
 

@@ -1,16 +1,34 @@
 """Ask models for targets and measure what comes (paper secs. 2.3 and 4)."""
 
+from typing import TYPE_CHECKING
+
 from inflate_lib._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "run": ["held_out_targets", "judge", "run_experiment"],
-        "targets": ["choose_axes", "compare_with_paper", "find_clusters"],
-        "calibrate": ["calibrate", "calibrate_all"],
-        "metrics": ["bootstrap", "errors", "r_squared"],
-        "tables": ["accuracy", "failure_reasons", "scores"],
-        "variety": ["diversity", "novelty"],
-        "card": ["write_card"],
-    },
-)
+if TYPE_CHECKING:
+    from inflate_lib.experiments.calibrate import calibrate_all
+    from inflate_lib.experiments.card import write_card
+    from inflate_lib.experiments.metrics import bootstrap, errors, r_squared
+    from inflate_lib.experiments.run import held_out_targets, judge, run_experiment
+    from inflate_lib.experiments.tables import accuracy, failure_reasons, scores
+    from inflate_lib.experiments.targets import choose_axes, compare_with_paper, find_clusters
+    from inflate_lib.experiments.variety import diversity, novelty
+
+__all__ = [
+    "accuracy",
+    "bootstrap",
+    "calibrate_all",
+    "choose_axes",
+    "compare_with_paper",
+    "diversity",
+    "errors",
+    "failure_reasons",
+    "find_clusters",
+    "held_out_targets",
+    "judge",
+    "novelty",
+    "r_squared",
+    "run_experiment",
+    "scores",
+    "write_card",
+]
+__getattr__, __dir__ = attach(__name__, __file__)

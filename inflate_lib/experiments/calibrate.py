@@ -1,4 +1,4 @@
-"""How a model answers, measured: ask for descriptors of training structures, inflate what is drawn, fit a :class:`Calibration`."""
+"""How a model answers: ask for descriptors of training structures, inflate what is drawn, fit a calibration."""
 
 import numpy as np
 

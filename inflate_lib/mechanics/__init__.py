@@ -1,14 +1,27 @@
 """From a structure to its inflated shape (paper sec. 3): mesh, equilibrium, stress, contact, sensitivities."""
 
+from typing import TYPE_CHECKING
+
 from inflate_lib._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "mesh": ["build_mesh", "Mesh"],
-        "inflation": ["inflate", "Inflation"],
-        "contact": ["first_contact", "self_contact"],
-        "stress": ["cauchy_stress", "largest_stretch", "peaks", "von_mises"],
-        "adjoint": ["sensitivities"],
-    },
-)
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.adjoint import sensitivities
+    from inflate_lib.mechanics.contact import first_contact, self_contact
+    from inflate_lib.mechanics.inflation import Inflation, inflate
+    from inflate_lib.mechanics.mesh import Mesh, build_mesh
+    from inflate_lib.mechanics.stress import cauchy_stress, largest_stretch, peaks, von_mises
+
+__all__ = [
+    "Inflation",
+    "Mesh",
+    "build_mesh",
+    "cauchy_stress",
+    "first_contact",
+    "inflate",
+    "largest_stretch",
+    "peaks",
+    "self_contact",
+    "sensitivities",
+    "von_mises",
+]
+__getattr__, __dir__ = attach(__name__, __file__)

@@ -1,14 +1,23 @@
 """Trained models of descriptors (paper sec. 4.1): trained, found in the cache, or committed; and how to ask them."""
 
+from typing import TYPE_CHECKING
+
 from inflate_lib._lazy import attach
 
 RETRAIN = "INFLATE_RETRAIN"  # set by --retrain: models are trained, though data/pretrained has weights that fit
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "train": ["train_models", "training_config"],
-        "weights": ["Model", "committed_weights", "load_model", "trained_models"],
-        "calibration": ["Calibration"],
-    },
-)
+if TYPE_CHECKING:
+    from inflate_lib.models.calibration import Calibration
+    from inflate_lib.models.train import train_models, training_config
+    from inflate_lib.models.weights import Model, committed_weights, load_model, trained_models
+
+__all__ = [
+    "Calibration",
+    "Model",
+    "committed_weights",
+    "load_model",
+    "train_models",
+    "trained_models",
+    "training_config",
+]
+__getattr__, __dir__ = attach(__name__, __file__)

@@ -116,8 +116,8 @@ def plot_selection(tables):
     Parameters
     ----------
     tables : Mapping
-        Descriptor → table of :func:`inflate_lib.alternatives.best_of.selection`. Solid marks: ranked by simulation; hollow:
-        by the surrogate.
+        Descriptor → table of :func:`inflate_lib.alternatives.best_of.selection`. Solid marks: ranked by simulation;
+        hollow: by the surrogate.
     """
     panels = []
     for error in dict.fromkeys(get_descriptor(name).error for name in tables):

@@ -20,7 +20,7 @@ def plot_generated(experiment, descriptor, n_show=5):
     Parameters
     ----------
     experiment : xarray.Dataset
-        From :func:`inflate_lib.models.train.run_experiment`.
+        From :func:`inflate_lib.experiments.run.run_experiment`.
     descriptor : str
     n_show : int
 

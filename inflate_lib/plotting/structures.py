@@ -204,8 +204,9 @@ def plot_variant_counts(allowed, drawn):
 def plot_clusters(matrices, clusters):
     """Fig. 6: the k-means clusters of height, width, bounding box and hull area, with their centroids.
 
-    ``matrices`` and ``clusters`` map the descriptors' names to arrays (n, N) and to `inflate_lib.experiments.targets.Clusters`.
-    The outermost two structures in a thousand lie beyond the limits of the panels.
+    ``matrices`` and ``clusters`` map the descriptors' names to arrays (n, N) and to
+    :class:`inflate_lib.experiments.targets.Clusters`. The outermost two structures in a thousand lie beyond the limits
+    of the panels.
     """
     fig, axes = figure(1, len(clusters), height=6.0)
     for ax, letter, name in zip(axes, "abcdefgh", clusters, strict=False):

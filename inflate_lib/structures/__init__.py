@@ -1,12 +1,23 @@
 """From a grey image to a structure (paper sec. 3, Figs. 2 and 4): where images come from, labels, flips and shifts."""
 
+from typing import TYPE_CHECKING
+
 from inflate_lib._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "sources": ["load_sevens", "resolve_source", "Sevens"],
-        "labels": ["label_image", "point_joints", "stages"],
-        "augmentation": ["apply_variants", "augment", "augment_descriptors"],
-    },
-)
+if TYPE_CHECKING:
+    from inflate_lib.structures.augmentation import apply_variants, augment, augment_descriptors
+    from inflate_lib.structures.labels import label_image, point_joints, stages
+    from inflate_lib.structures.sources import Sevens, load_sevens, resolve_source
+
+__all__ = [
+    "Sevens",
+    "apply_variants",
+    "augment",
+    "augment_descriptors",
+    "label_image",
+    "load_sevens",
+    "point_joints",
+    "resolve_source",
+    "stages",
+]
+__getattr__, __dir__ = attach(__name__, __file__)

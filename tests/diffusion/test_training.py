@@ -432,7 +432,8 @@ folder = Path(sys.argv[1])
 first = train(*data(17), config(steps=12), folder / "first", progress=False, threads=1)
 (folder / f"rank{_ranks.rank()}.json").write_text(json.dumps([first.history, first.net.out.weight.norm().item()]))
 resumed = train(*data(17), config(), folder / "cut", progress=False, threads=1)
-(folder / f"resumed{_ranks.rank()}.json").write_text(json.dumps([resumed.history, resumed.net.out.weight.norm().item()]))
+norm = resumed.net.out.weight.norm().item()
+(folder / f"resumed{_ranks.rank()}.json").write_text(json.dumps([resumed.history, norm]))
 _ranks.finish()
 """
 
