@@ -1,7 +1,7 @@
 """Training on another machine, which needs PyTorch, NumPy and safetensors, and nothing else of what the book needs.
 
     inflate train --profile paper --pack pairs.safetensors               # here: data and recipe, a few MB
-    python -m inflate_lib.models.remote pairs.safetensors --out weights  # there, beside a copy of the folder inflate_lib
+    python -m inflate_lib.models.remote pairs.safetensors --out weights  # there, beside a copy of inflate_lib
 
 trains the models of the pack side by side, and goes on where it was if it was stopped. The weights are those of
 ``inflate train --out``: put them into ``data/pretrained/<profile>``, and the notebooks find them.

@@ -1,8 +1,8 @@
 """What the tests of the mechanics share: small structures, and independent solvers to compare with.
 
 The solvers share nothing but the mesh with `inflate_lib.mechanics.inflation`. FElupe assembles the solid and the
-follower pressure by its own means; the mean-dilatation element, which FElupe does not have in this form, is the potential
-written down in PyTorch and differentiated by it.
+follower pressure by its own means; the mean-dilatation element, which FElupe does not have in this form, is the
+potential written down in PyTorch and differentiated by it.
 """
 
 from dataclasses import replace

@@ -249,7 +249,7 @@ BROUGHT_BY_PYTORCH = "torchgen functorch filelock fsspec jinja2 markupsafe mpmat
 
 @pytest.fixture(scope="module")
 def elsewhere(tmp_path_factory):
-    """``python -m inflate_lib.models.remote`` in an environment of its own: PyTorch, NumPy, safetensors, and no more."""
+    """``python -m inflate_lib.models.remote`` in an environment with PyTorch, NumPy, safetensors, and no more."""
     home = tmp_path_factory.mktemp("elsewhere")
     venv.create(home, symlinks=True)
     (there,) = home.glob("lib/python*/site-packages")
