@@ -330,6 +330,7 @@ def test_a_run_killed_at_any_moment_goes_on_from_its_pieces(tmp_path, backend, k
     assert redone <= kills * in_flight, stored
 
 
+@pytest.mark.slow
 def test_a_dead_process_is_told_and_costs_its_pieces_only(tmp_path, monkeypatch):
     monkeypatch.setattr(simulate, "ALONE", 0)
     data = simulate_dataset(DIGITS[:32], 2, n_steps=1, folder=tmp_path)

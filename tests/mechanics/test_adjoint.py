@@ -108,6 +108,7 @@ def test_the_most_promising_pixel_is_the_one_whose_estimate_fits():
         assert tuple(first) == tuple(pixels[missed.argmin()])
 
 
+@pytest.mark.slow
 def test_an_order_by_sensitivity_needs_fewer_inflations():
     spent = {"sensitivity": 0, "random": 0}
     for number, image in enumerate(DIGITS[:48:4]):

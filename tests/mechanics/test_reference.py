@@ -118,6 +118,7 @@ def test_graded_meshes_are_nested_meshes_of_one_structure():
     assert np.isclose(np.diff(sorted(lines[2])).min() * len(label), 0.5 * 0.3**2)
 
 
+@pytest.mark.slow
 def test_biquadratic_elements_settle_on_graded_meshes():
     """And the default falls short of them, by less the finer it is."""
     truth = [

@@ -217,6 +217,7 @@ def sevens():
     return load_sevens("mnist").images
 
 
+@pytest.mark.slow
 @pytest.mark.mnist
 def test_padding_saves_607_of_the_6265_sevens(sevens):
     """What dilating inside the frame would cut open: a digit that touches the border has no wall there."""
