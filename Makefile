@@ -29,7 +29,7 @@ figures: .venv/installed ## execute the profile laptop and publish its figures i
 readme: .venv/installed ## write the quickstart and the results into README.md anew
 	$(BIN)/python -m inflate_lib.book.readme
 
-test: .venv/installed-dev ## run the tests
+test: .venv/installed-dev ## run the tests that need neither minutes nor an executed book
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 lint: .venv/installed-dev ## check the style, the direction of imports, and the types

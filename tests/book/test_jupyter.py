@@ -99,6 +99,7 @@ def test_a_source_survives_the_conversion_to_ipynb_and_back(folder, tmp_path, na
     assert source.read_bytes() == (paths.NOTEBOOKS / name).read_bytes(), f"write it anew: {AGAIN.format(stem)}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_source_saved_by_a_jupyter_server_is_unchanged(server, folder, name):
     """First without its pair, which the first save makes, then with it and a kernel, with the answers that it gave."""

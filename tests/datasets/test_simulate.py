@@ -337,7 +337,7 @@ def test_a_dead_process_is_told_and_costs_its_pieces_only(tmp_path, monkeypatch)
     stored = sorted(tmp_path.glob("*.npz"))
     for path in stored[8:]:
         path.unlink()
-    monkeypatch.setattr(simulate, "_simulate", die)
+    monkeypatch.setattr(simulate, "_simulate", die)  # what the other processes do
     with pytest.raises(RuntimeError, match="terminated"):
         simulate_dataset(DIGITS[:32], 2, n_steps=1, folder=tmp_path)
     monkeypatch.undo()

@@ -62,7 +62,7 @@ def test_a_killed_worker_loses_nothing_and_doubles_nothing(dask, tmp_path, monke
     monkeypatch.setattr(datasets, "PIECE", 2)
     log, folder = tmp_path / "log", tmp_path / "pieces"
     log.touch()
-    monkeypatch.setattr(datasets, "_simulate", partial(logged, log))
+    monkeypatch.setattr(datasets, "_simulate", partial(logged, log))  # what the workers do, to kill one in the middle
     with distributed.Client(dask, set_as_default=False) as client:
         pids = client.run(os.getpid)
     assert len(pids) == 2
@@ -81,7 +81,9 @@ def test_a_killed_worker_loses_nothing_and_doubles_nothing(dask, tmp_path, monke
         stored_when_killed.append(len(list(folder.glob("[0-9]*.npz"))))
 
     stored, real = [], datasets._store
-    monkeypatch.setattr(datasets, "_store", lambda path, rows: stored.append(path.name) or real(path, rows))
+    monkeypatch.setattr(
+        datasets, "_store", lambda path, rows: stored.append(path.name) or real(path, rows)
+    )  # each once
     killer = threading.Thread(target=kill_one, daemon=True)
     killer.start()
     data = simulate_dataset(IMAGES, folder=folder, backend=dask, progress_text=False)

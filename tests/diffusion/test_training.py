@@ -35,7 +35,7 @@ class Interrupt(Exception):
 
 
 def interrupt_at(monkeypatch, step):
-    """Make training fail as it starts this step."""
+    """Make training fail as it starts this step; from outside nothing can happen between two steps."""
     from inflate_lib.diffusion.training import _Run
 
     advance = _Run.advance
@@ -136,6 +136,7 @@ def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tmp_path):
     assert os.listdir(tmp_path) == [CHECKPOINT]  # nothing half-written is left
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on the size of files")
 @pytest.mark.parametrize(
     ("step", "kept"), [(0, "step 8 (there is no checkpoint yet)"), (8, "step 16 (the checkpoint before it is kept)")]
@@ -173,7 +174,7 @@ def test_weights_that_are_lost_in_the_very_last_step_are_not_saved(tmp_path, mon
             with torch.no_grad():
                 self.net.out.bias.fill_(float("inf"))
 
-    monkeypatch.setattr(_Run, "advance", explode)
+    monkeypatch.setattr(_Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
     with pytest.raises(FloatingPointError, match=r"weights are no longer finite after step 16"):
         train(*data(), config(), tmp_path, progress=False, threads=1)
     assert _storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == 8
@@ -190,13 +191,14 @@ def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monk
                 self.net.out.bias.fill_(float("nan"))
         advance(self)
 
-    monkeypatch.setattr(_Run, "advance", explode)
+    monkeypatch.setattr(_Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
     with pytest.raises(FloatingPointError, match=r"loss became nan between steps 12 and 15.*last good state"):
         train(*data(), config(), tmp_path, progress=False, threads=1)
     tensors, content = _storage.read(tmp_path / CHECKPOINT, "checkpoint")
     assert content["step"] == 8 and all(bool(torch.isfinite(v).all()) for v in tensors.values())
 
 
+@pytest.mark.slow
 def test_learns_sixteen_structures_by_heart():
     """A bar at one of eight heights, on the left or on the right: the answer must put it where it is wanted."""
     targets = np.array([(height, side) for height in range(1, 9) for side in (0, 1)], dtype=float)
@@ -308,7 +310,7 @@ def test_every_combination_of_parts_is_trained(monkeypatch):
         seen.append(y)
         return losses(self, rows, y, *rest)
 
-    monkeypatch.setattr(_Run, "losses", spy)
+    monkeypatch.setattr(_Run, "losses", spy)  # which parts were withheld is seen nowhere else
     model = train(*data(400, 4), config(parts=[1, 3], batch_size=100), progress=False)
     unknown = torch.cat(seen).isnan()
     assert bool((unknown[:, 1:].all(1) == unknown[:, 1:].any(1)).all())
