@@ -19,7 +19,7 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
     """
     tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     unseen = [line for block in tree.body if isinstance(block, ast.If) for line in block.body]
-    home = {name.name: line.module for line in unseen if isinstance(line, ast.ImportFrom) for name in line.names}
+    home = {name.name: str(line.module) for line in unseen if isinstance(line, ast.ImportFrom) for name in line.names}
 
     def load(name: str) -> Any:
         if name in home:

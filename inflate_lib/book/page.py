@@ -57,7 +57,7 @@ class Page:
         ``figures/runs/<profile>/``.
     """
 
-    def __init__(self, notebook: str, namespace: Mapping[str, Any]):
+    def __init__(self, notebook: str, namespace: Mapping[str, Any]) -> None:
         self.notebook = notebook
         self.parameters = _parameters(notebook, namespace)
         self.profile = str(self.parameters.get("profile", "interactive"))

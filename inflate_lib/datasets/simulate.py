@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 from zipfile import BadZipFile
 
 import numpy as np
@@ -24,6 +25,9 @@ from inflate_lib.descriptors import Shape, added_version, basic
 from inflate_lib.mechanics import contact, inflation
 from inflate_lib.structures import labels, sources
 from inflate_lib.structures.labels import FRAME
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # xarray is imported where it is used: the processes that simulate need none, and start in half the time without.
 
@@ -43,7 +47,15 @@ _UNITS = {
 }
 
 
-def simulate_dataset(images, n_jobs=None, n_steps=10, progress_text=True, folder=None, backend=None, time_limit=None):
+def simulate_dataset(
+    images: np.ndarray,
+    n_jobs: int | None = None,
+    n_steps: int = 10,
+    progress_text: bool = True,
+    folder: Path | None = None,
+    backend: str | None = None,
+    time_limit: float | None = None,
+) -> "xr.Dataset":
     """Label, inflate and describe many images.
 
     Parameters
@@ -110,7 +122,9 @@ def simulate_dataset(images, n_jobs=None, n_steps=10, progress_text=True, folder
     return _assemble(list(done), n_steps)
 
 
-def simulated_sevens(source="auto", n_structures=None, n_jobs=None, backend=None):
+def simulated_sevens(
+    source: str = "auto", n_structures: int | None = None, n_jobs: int | None = None, backend: str | None = None
+) -> "xr.Dataset":
     """The simulated sevens, computed once and kept on disk.
 
     Parameters

@@ -1,9 +1,14 @@
 """Which structures are kept from training: one rule for every model, table and chapter."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+if TYPE_CHECKING:
+    import xarray as xr
 
-def held_out(n):
+
+def held_out(n: int) -> np.ndarray:
     """Which of n structures no model is trained on: every tenth, those with ``index % 10 == 9``.
 
     The rule looks at the position in the whole data set alone, before structures that did not converge are left out and
@@ -16,6 +21,6 @@ def held_out(n):
     return np.arange(n) % 10 == 9
 
 
-def training_rows(data):
+def training_rows(data: "xr.Dataset") -> np.ndarray:
     """Row numbers of the structures that models are trained on."""
     return np.flatnonzero(data["converged"].values & ~held_out(data.sizes["structure"]))

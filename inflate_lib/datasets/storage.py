@@ -1,15 +1,21 @@
 """A data set of inflated structures as one netCDF file."""
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 from inflate_lib.descriptors import PARTS, get_descriptor
 
+if TYPE_CHECKING:
+    import xarray as xr
 
-def save_dataset(data, path):
+
+def save_dataset(data: "xr.Dataset", path: str | Path) -> None:
     """Write a data set as one netCDF file, compressed."""
     encoding = {name: {"zlib": True, "complevel": 4} for name in data.data_vars if data[name].dtype.kind in "fiu"}
     data.to_netcdf(path, engine="h5netcdf", encoding=encoding)
 
 
-def load_dataset(path):
+def load_dataset(path: str | Path) -> "xr.Dataset":
     """Read a data set that :func:`save_dataset` wrote.
 
     Raises

@@ -4,8 +4,9 @@ Whatever is true of one descriptor only stands here; the rest of the library goe
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from inflate_lib._cache import digest
 from inflate_lib.descriptors.errors import POINT_DISTANCE, RELATIVE, PointDistance, RelativeError
 from inflate_lib.descriptors.shape import AXIS_POINTS, medial_axis, mirror_axis, place_axis
 from inflate_lib.mechanics.stress import largest_stretch, von_mises
+
+if TYPE_CHECKING:
+    from inflate_lib.descriptors.shape import Shape
 
 _registry: dict[str, "Descriptor"] = {}
 
@@ -92,28 +96,28 @@ class Descriptor:
             object.__setattr__(self, name, value)
 
     @property
-    def length(self):
+    def length(self) -> int:
         """N, the number of components."""
         return len(self.components)
 
     @property
-    def is_basic(self):
+    def is_basic(self) -> bool:
         """Whether it is measured, not put together from parts."""
         return self.measure is not None
 
     @property
-    def is_line(self):
+    def is_line(self) -> bool:
         """Whether the components are the coordinates of the points of one line."""
         return isinstance(self.error, PointDistance)
 
-    def of(self, shape):
+    def of(self, shape: "Shape") -> np.ndarray:
         """The value for a :class:`inflate_lib.descriptors.Shape`, in the shape of `sizes`."""
         shape_of_value = tuple(self.sizes.values())
         if shape.result is None and not self.of_nodes:
             return np.full(shape_of_value, np.nan)
         return np.reshape(np.asarray(self.measure(shape), dtype=float), shape_of_value)
 
-    def mirrored(self, vectors):
+    def mirrored(self, vectors: np.ndarray) -> np.ndarray:
         """(n, N) the descriptors of mirrored structures, from those of the structures."""
         if self.is_basic:
             return vectors if self.flip is None else self.flip(vectors)
@@ -122,7 +126,7 @@ class Descriptor:
         )
 
 
-def get_descriptor(name):
+def get_descriptor(name: str) -> Descriptor:
     """The descriptor of that name, or of several that are asked for together: "height+area".
 
     Raises
@@ -138,13 +142,13 @@ def get_descriptor(name):
     return Descriptor(name, name, parts=parts)
 
 
-def name_of(parts):
+def name_of(parts: Iterable[str]) -> str:
     """What basic descriptors, in any order, are called together: "box", "joint", "height+area"."""
     together = [one.name for one in registered() if set(one.parts) == set(parts)]
     return together[0] if together else "+".join(one.name for one in basic() if one.name in parts)
 
 
-def register(descriptor):
+def register(descriptor: Descriptor) -> Descriptor:
     """Make a descriptor known, so that data sets, training, experiments, designs and figures take it by its name.
 
     It has to be registered before structures are simulated that are to have it. A descriptor that was registered
@@ -166,17 +170,17 @@ def register(descriptor):
     return _add(descriptor)
 
 
-def registered():
+def registered() -> tuple[Descriptor, ...]:
     """All descriptors, in order of registration."""
     return tuple(_registry.values())
 
 
-def basic():
+def basic() -> tuple[Descriptor, ...]:
     """Those that are measured, not put together from parts."""
     return tuple(one for one in registered() if one.is_basic)
 
 
-def added_version():
+def added_version() -> str:
     """Hash of the sources of what measures the descriptors that are not the library's own; empty where there are none.
 
     It belongs into the keys of results that hold descriptors. It does not see a change of what ``measure`` calls.
@@ -185,7 +189,7 @@ def added_version():
     return digest(*sources)[:16] if sources else ""
 
 
-def columns(name, among):
+def columns(name: str, among: Sequence[str]) -> np.ndarray:
     """(N,) int: where the components of a descriptor stand among those of several, one descriptor after another."""
     owner = np.repeat(among, [get_descriptor(part).length for part in among])
     return np.flatnonzero(np.isin(owner, get_descriptor(name).parts))

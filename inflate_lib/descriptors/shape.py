@@ -1,9 +1,13 @@
 """What descriptors are measured on: the deformed nodes, their convex hull, and the inflation that they come from."""
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
+
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.inflation import Inflation
 
 AXIS_POINTS = 30
 
@@ -29,7 +33,7 @@ class Shape:
     result: object = None
 
     @classmethod
-    def of(cls, result, step=-1):
+    def of(cls, result: "Inflation | np.ndarray", step: int = -1) -> "Shape":
         """The shape of an inflation at a load step, or of nodes; see :func:`inflate_lib.describe`."""
         if hasattr(result, "deformed"):
             n_steps = len(result.load_steps)
@@ -59,7 +63,7 @@ def _checked(nodes):
     return nodes
 
 
-def medial_axis(hull, points=AXIS_POINTS):
+def medial_axis(hull: np.ndarray, points: int = AXIS_POINTS) -> np.ndarray:
     """Midpoints of the horizontal chords of a convex polygon at equal height increments (paper sec. 3.1, item v).
 
     Parameters
@@ -81,7 +85,7 @@ def medial_axis(hull, points=AXIS_POINTS):
     return np.column_stack([middle - middle[0], height - bottom])
 
 
-def hull_sides(hull):
+def hull_sides(hull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The left and the right side of a convex polygon, each from its lowest to its highest corner.
 
     Parameters
@@ -108,19 +112,19 @@ def hull_sides(hull):
     return left, right
 
 
-def axis_height(axis):
+def axis_height(axis: np.ndarray) -> np.ndarray:
     """Height of the shape that a medial axis (…, k, 2) belongs to: the axis ends one increment below the top."""
     points = axis.shape[-2]
     return axis[..., -1, 1] * points / (points - 1)
 
 
-def place_axis(axis, hull):
+def place_axis(axis: np.ndarray, hull: np.ndarray) -> np.ndarray:
     """A medial axis (k, 2), whose first point is the origin, put back where it was in the hull that it came from."""
     base = hull[np.isclose(hull[:, 1], hull[:, 1].min(), atol=1e-9), 0]
     return axis + [(base.min() + base.max()) / 2, hull[:, 1].min()]
 
 
-def mirror_axis(axes):
+def mirror_axis(axes: np.ndarray) -> np.ndarray:
     """Medial axes mirrored left to right: (…, 60), point by point, or (…, 30, 2); the first point is the origin."""
     mirrored = np.array(axes, float)
     if mirrored.shape[-1] == 2:

@@ -2,11 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from inflate_lib.descriptors.registry import JOINT, PARTS, basic, columns, get_descriptor
 from inflate_lib.descriptors.shape import Shape
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from inflate_lib.mechanics.inflation import Inflation
 
 
 @dataclass(frozen=True)
@@ -40,17 +46,17 @@ class Descriptors:
     others: Mapping = field(default_factory=dict)
 
     @property
-    def bounding_box(self):
+    def bounding_box(self) -> tuple[float, float]:
         """(height, width)."""
         return self.height, self.width
 
-    def vector(self, name):
+    def vector(self, name: str) -> np.ndarray:
         """(N,) the descriptor `name` as a model is conditioned on it."""
-        values = vars(self) | self.others
+        values = {**vars(self), **self.others}
         return _vectors(name, lambda variable: np.reshape(values[variable], (1, -1)))[0]
 
 
-def describe(result, step=-1):
+def describe(result: "Inflation | np.ndarray", step: int = -1) -> Descriptors:
     """Descriptors of an inflated structure.
 
     Parameters
@@ -72,11 +78,11 @@ def describe(result, step=-1):
     shape = Shape.of(result, step)
     values = {one.variable: one.of(shape) for one in basic()}
     values = {name: value if value.ndim else float(value) for name, value in values.items()}
-    own = {one.name: values.pop(one.name) for one in fields(Descriptors) if one.name in values}
+    own: dict[str, Any] = {one.name: values.pop(one.name) for one in fields(Descriptors) if one.name in values}
     return Descriptors(**own, others=values)
 
 
-def descriptor_matrix(data, name):
+def descriptor_matrix(data: "xr.Dataset", name: str) -> np.ndarray:
     """One descriptor of every structure in a data set, as models are conditioned on it.
 
     Parameters
@@ -106,7 +112,7 @@ def descriptor_matrix(data, name):
     return _vectors(name, values)
 
 
-def joint_conditions(name, values):
+def joint_conditions(name: str, values: np.ndarray) -> np.ndarray:
     """Descriptors (n, N) as a model of the descriptor "joint" is told them, (n, 65): NaN for what is not asked for."""
     values, joint = np.asarray(values, dtype=float), get_descriptor(JOINT)
     if not set(get_descriptor(name).parts) <= set(PARTS):

@@ -115,7 +115,7 @@ class UNet(nn.Module):
         attention: bool = False,
         groups: int = 8,
         parts: Sequence[int] = (),
-    ):
+    ) -> None:
         super().__init__()
         if parts and sum(parts) != n_conditions:
             raise ValueError(f"parts of lengths {tuple(parts)} do not make up {n_conditions} conditions")

@@ -15,12 +15,17 @@ import signal
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from inflate_lib.io import _exodus
 from inflate_lib.mechanics._kernels import MAX_HALVINGS
 from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, load_history
+
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.inflation import Inflation
+    from inflate_lib.mechanics.mesh import Mesh
 
 #: Programs that contain MOOSE's solid mechanics, in the order in which they are looked for.
 PROGRAMS = ("solid_mechanics-opt", "combined-opt")
@@ -151,7 +156,7 @@ def input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE,
     )  # fmt: skip
 
 
-def write_case(mesh, folder, name="inflation", **parameters):
+def write_case(mesh: "Mesh", folder: str | Path, name: str = "inflation", **parameters: Any) -> list[Path]:
     """Write ``name.i`` and ``name.e`` into a folder.
 
     Parameters
@@ -192,7 +197,7 @@ def find_program():
     raise RuntimeError(f"MOOSE is not here: neither {' nor '.join(PROGRAMS)} is on the PATH")
 
 
-def run_case(result, input_file, time_limit=600.0):
+def run_case(result: "Inflation", input_file: str | Path, time_limit: float = 600.0) -> "Inflation":
     """Run a case and return what MOOSE found as an :class:`Inflation`.
 
     Parameters

@@ -1,6 +1,7 @@
 """From an inflated structure to what mechanicians look at: a picture, an animation, a ParaView series."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
@@ -8,6 +9,9 @@ from PIL import Image, UnidentifiedImageError
 from inflate_lib.mechanics import stress
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.structures.labels import FRAME
+
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.inflation import Inflation
 
 
 def reached_steps(result):
@@ -24,7 +28,7 @@ def reached_steps(result):
     return n
 
 
-def write_picture(result, path, quantity="von-mises"):
+def write_picture(result: "Inflation", path: str | Path, quantity: str = "von-mises") -> Path:
     """Picture of the undeformed and the deformed structure, coloured by a quantity.
 
     Parameters
@@ -59,7 +63,9 @@ def write_picture(result, path, quantity="von-mises"):
     return path
 
 
-def write_animation(result, path, quantity="von-mises", frames_per_second=5):
+def write_animation(
+    result: "Inflation", path: str | Path, quantity: str = "von-mises", frames_per_second: int = 5
+) -> Path:
     """Animated GIF of the load steps, from the undeformed structure to the last equilibrium; same arguments."""
     import matplotlib.pyplot as plt
     from matplotlib.animation import PillowWriter
@@ -95,7 +101,7 @@ def _ready(path, *suffixes):
     return path
 
 
-def read_images(path, resize=False, invert=False):
+def read_images(path: str | Path, resize: bool = False, invert: bool = False) -> tuple[np.ndarray, str]:
     """Images in a file, as (n, 28, 28) uint8 or float, and a note on what was done to them.
 
     Parameters

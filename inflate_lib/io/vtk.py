@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
@@ -9,8 +10,11 @@ import numpy as np
 from inflate_lib.io.pictures import _ready, reached_steps
 from inflate_lib.mechanics import stress
 
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.inflation import Inflation
 
-def write_vtk(result, path):
+
+def write_vtk(result: "Inflation", path: str | Path) -> list[Path]:
     """ParaView series: a ``.vtu`` for each load step, t = 0 included, and the ``.pvd`` that lists them with times.
 
     Point data: ``displacement`` (3). Cell data, means over the Gauss points: ``F``, ``P`` and ``cauchy_stress`` (9, row

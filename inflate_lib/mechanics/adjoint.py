@@ -14,6 +14,8 @@ That the pressure then acts on another side of the pixel plays next to no part: 
 a pressure does as much work on one side of such an element as on the other.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import ConvexHull
@@ -22,11 +24,14 @@ from inflate_lib.mechanics import _kernels
 from inflate_lib.mechanics.inflation import assemble, build_system
 from inflate_lib.structures.labels import THICKNESS, VOID, WALL
 
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.inflation import Inflation
+
 DIFFERENTIABLE = ("height", "width", "area")  # descriptors that have a sensitivity here
 SQUARE = np.ones((2 * THICKNESS + 1, 2 * THICKNESS + 1))  # that the cavity is grown by to get the wall
 
 
-def sensitivities(result, name, step=-1):
+def sensitivities(result: "Inflation", name: str, step: int = -1) -> np.ndarray:
     """Derivatives of a descriptor with respect to the share of each element's energy.
 
     Parameters

@@ -5,13 +5,18 @@ geometry. The boundary of the wall consists of the edges that belong to one elem
 no node cross, wall lies upon wall.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
 from inflate_lib.mechanics.mesh import boundary_edges
 
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.inflation import Inflation
 
-def self_contact(result, step=-1):
+
+def self_contact(result: "Inflation", step: int = -1) -> int:
     """Number of pairs of boundary edges that cross one another in the deformed structure.
 
     Edges that share a node are left out, and so are edges that merely touch (an end of one lies on the other, or they
@@ -31,7 +36,7 @@ def self_contact(result, step=-1):
     return int(_count_crossings(result.deformed(step), boundary_edges(result.cells)))
 
 
-def first_contact(result):
+def first_contact(result: "Inflation") -> int | None:
     """Index of the first load step at which walls cross one another, or None where they never do."""
     edges = boundary_edges(result.cells)
     for step in range(len(result.displacement)):

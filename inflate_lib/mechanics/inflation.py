@@ -18,6 +18,7 @@ locks, because λ/μ = 100) or once per element as its mean (``"mean-dilatation"
 """
 
 import reprlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -74,28 +75,28 @@ class Inflation:
     lame: tuple[float, float]
 
     @property
-    def nodes(self):
+    def nodes(self) -> np.ndarray:
         """(n, 2) undeformed coordinates."""
         return self.mesh.nodes
 
     @property
-    def cells(self):
+    def cells(self) -> np.ndarray:
         """(m, 4) node numbers of the quadrilaterals."""
         return self.mesh.cells
 
-    def deformed(self, step=-1):
+    def deformed(self, step: int = -1) -> np.ndarray:
         """(n, 2) deformed coordinates at a load step (the last one by default)."""
         return self.nodes + self.displacement[step]
 
     @cached_property
-    def deformation_gradient(self):
+    def deformation_gradient(self) -> np.ndarray:
         """(steps, m, 4, 2, 2) deformation gradient F at the Gauss points of each element."""
         gradients, _ = shape_gradients(self.nodes[self.cells])
         positions = (self.nodes + self.displacement)[:, self.cells]
         return np.einsum("smai,mqaj->smqij", positions, gradients)
 
     @cached_property
-    def first_piola_kirchhoff(self):
+    def first_piola_kirchhoff(self) -> np.ndarray:
         """(steps, m, 4, 2, 2) in-plane first Piola–Kirchhoff stress P at the Gauss points, in units of μ and λ.
 
         With mean dilatation the part φ′(J) cof F takes the element's mean J, as the equilibrium does.
@@ -109,9 +110,15 @@ class Inflation:
 
 
 def inflate(
-    label, n_steps=None, element="mean-dilatation", refine=1, pressure=PRESSURE, lame=(LAMBDA, MU), clamped="bottom",
-    time_limit=None,
-):  # fmt: skip
+    label: np.ndarray,
+    n_steps: int | None = None,
+    element: str = "mean-dilatation",
+    refine: int = 1,
+    pressure: float | Sequence[float] = PRESSURE,
+    lame: tuple[float, float] = (LAMBDA, MU),
+    clamped: str = "bottom",
+    time_limit: float | None = None,
+) -> Inflation:
     """Inflate a structure given as a label image.
 
     Parameters

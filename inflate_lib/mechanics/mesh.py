@@ -37,7 +37,7 @@ class Mesh:
     clamped: np.ndarray
 
 
-def build_mesh(label, refine=1, clamped="bottom"):
+def build_mesh(label: np.ndarray, refine: int = 1, clamped: str = "bottom") -> Mesh:
     """Mesh the wall of a label image.
 
     Parameters

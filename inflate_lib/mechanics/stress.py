@@ -10,11 +10,15 @@ and the von Mises stress is that of all of it: √(½ [(σ₁₁ − σ₂₂)²
 """
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.inflation import Inflation
 
-def cauchy_stress(result):
+
+def cauchy_stress(result: "Inflation") -> np.ndarray:
     """(steps, m, 4, 3, 3) Cauchy stress σ at the Gauss points, in the units of λ and μ; zero where none is written.
 
     Parameters
@@ -35,7 +39,7 @@ def cauchy_stress(result):
     return sigma
 
 
-def von_mises(result):
+def von_mises(result: "Inflation") -> np.ndarray:
     """(steps, m) von Mises stress of each element, the mean over its Gauss points, with σ₃₃; units of λ and μ."""
     F = result.deformation_gradient
     xx, yy = np.moveaxis((F**2).sum(-1), -1, 0)  # of b
@@ -44,7 +48,7 @@ def von_mises(result):
     return (result.lame[1] / area_ratio(result) * np.sqrt(squares)).mean(-1)
 
 
-def largest_stretch(result):
+def largest_stretch(result: "Inflation") -> np.ndarray:
     """(steps, m) largest principal stretch in the plane of each element, the mean over its Gauss points."""
     F = result.deformation_gradient
     trace = (F**2).sum((-1, -2))  # λ₁² + λ₂²
@@ -52,7 +56,7 @@ def largest_stretch(result):
     return np.sqrt((trace + np.sqrt(np.maximum(trace**2 - 4 * J**2, 0))) / 2).mean(-1)
 
 
-def peaks(result, step=-1):
+def peaks(result: "Inflation", step: int = -1) -> tuple[float, float]:
     """Peak von Mises stress and largest principal stretch at a load step (the last one by default), of any element.
 
     Each is the largest of the elements' values, and an element's value is the mean over its four Gauss points: with one

@@ -1,9 +1,13 @@
 """One style for every figure: the Okabe–Ito palette, thin axes, sizes in centimetres of the printed page."""
 
 from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Okabe–Ito colours (distinguishable with every common colour-vision deficiency), named by their role.
 COLOURS = SimpleNamespace(
@@ -27,7 +31,7 @@ HATCHES = ("", "//", "xx")
 TEXT_WIDTH = 17.0  # cm
 
 
-def use_style():
+def use_style() -> None:
     """Apply the book's style to matplotlib's global settings."""
     mpl.rcParams.update(
         {
@@ -58,7 +62,9 @@ def use_style():
     )
 
 
-def figure(rows=1, cols=1, *, width=TEXT_WIDTH, height=6.0, **kwargs):
+def figure(
+    rows: int = 1, cols: int = 1, *, width: float = TEXT_WIDTH, height: float = 6.0, **kwargs: Any
+) -> "tuple[Figure, Any]":
     """A figure of `width` × `height` centimetres with `rows` × `cols` axes.
 
     Returns

@@ -14,7 +14,7 @@ MAX_SHIFT = 3
 PAPER_SAMPLES = 71_616
 
 
-def augment(images, n_samples=None, seed=0, max_shift=MAX_SHIFT):
+def augment(images: np.ndarray, n_samples: int | None = None, seed: int = 0, max_shift: int = MAX_SHIFT) -> np.ndarray:
     """Choose variants of grey images or label images: every original first, then others drawn at random.
 
     Parameters
@@ -88,7 +88,7 @@ def structure_boxes(images, wall=THICKNESS):
     return boxes
 
 
-def apply_variants(images, variants):
+def apply_variants(images: np.ndarray, variants: np.ndarray) -> np.ndarray:
     """The images that the variants stand for, (m, 28, 28), in the type of ``images`` (n, 28, 28); new pixels are 0."""
     images, variants = np.asarray(images), np.asarray(variants)
     structure, flip, shift_x, shift_y = variants.T
@@ -102,7 +102,7 @@ def apply_variants(images, variants):
     return moved
 
 
-def augment_descriptors(matrix, mirrored, variants):
+def augment_descriptors(matrix: np.ndarray, mirrored: np.ndarray, variants: np.ndarray) -> np.ndarray:
     """Descriptors of the variants, (m, N): those of the original, whatever its shift, or of its mirror image.
 
     Parameters

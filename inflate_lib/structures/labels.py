@@ -36,7 +36,9 @@ class Stages:
         return [(name, getattr(self, name)) for name in self.__dataclass_fields__]
 
 
-def label_image(image, threshold=THRESHOLD, wall=THICKNESS, pad=True, clamped="bottom"):
+def label_image(
+    image: np.ndarray, threshold: float = THRESHOLD, wall: int = THICKNESS, pad: bool = True, clamped: str = "bottom"
+) -> np.ndarray:
     """Label image of the structure in a grey image (Fig. 2).
 
     Parameters
@@ -65,7 +67,9 @@ def label_image(image, threshold=THRESHOLD, wall=THICKNESS, pad=True, clamped="b
     return stages(image, threshold, wall, pad, clamped).domains
 
 
-def stages(image, threshold=THRESHOLD, wall=THICKNESS, pad=True, clamped="bottom"):
+def stages(
+    image: np.ndarray, threshold: float = THRESHOLD, wall: int = THICKNESS, pad: bool = True, clamped: str = "bottom"
+) -> Stages:
     """Every intermediate image of :func:`label_image`, as :class:`Stages`; same arguments, same errors."""
     if isinstance(wall, bool) or not isinstance(wall, int | np.integer) or not 1 <= wall <= FRAME:
         raise ValueError(f"wall must be a whole number of pixels from 1 to {FRAME}, not {wall!r}")
@@ -149,7 +153,7 @@ def _into_frame(composite, margin):
     return shifted
 
 
-def point_joints(label):
+def point_joints(label: np.ndarray) -> int:
     """Number of nodes at which two wall pixels meet that share no other connection there.
 
     Such a joint is an artefact of the pixels: a continuum passes no force through a point, so that every finer mesh

@@ -54,7 +54,7 @@ class Sevens:
         return len(self.images)
 
 
-def resolve_source(source="auto"):
+def resolve_source(source: str = "auto") -> str:
     """The source that ``source`` stands for: ``"mnist"`` or ``"digits"``.
 
     ``"auto"`` is what the environment variable ``INFLATE_SOURCE`` names; without it MNIST where it can be had, else the
@@ -76,7 +76,7 @@ def resolve_source(source="auto"):
     return "mnist"
 
 
-def load_sevens(source="auto", limit=None, split="train"):
+def load_sevens(source: str = "auto", limit: int | None = None, split: str = "train") -> Sevens:
     """Load the sevens of MNIST or of the embedded digits.
 
     Parameters
