@@ -1,7 +1,8 @@
 """All compiled code of the inflation: assembly, sparse LDLᵀ factorisation, and the march through the load steps.
 
 It is one file because numba keeps compiled code per file, and does not see that a function which it calls from another
-file has changed. The mathematics of the assembly is that of :mod:`inflate_lib.mechanics.inflation`.
+file has changed. Loops stand in it where NumPy has a function, because each such function adds to the seconds that
+the compiler takes. The mathematics of the assembly is that of :mod:`inflate_lib.mechanics.inflation`.
 
 A matrix has one 2 × 2 block for each pair of nodes that share an element. Eliminating a node couples all its neighbours
 with one another: its elements grow together into one. So the elements themselves say where the factor L fills in
@@ -148,7 +149,9 @@ def _eliminate(n, cells, valence):
         pivot = np.argmin(degree)
         order[j], degree[pivot], end = pivot, np.iinfo(np.int64).max, start[j]
         if end + n > len(members):
-            members = np.concatenate((members, np.empty_like(members)))
+            shorter, members = members, np.empty(2 * len(members), dtype=np.int64)
+            for k in range(end):
+                members[k] = shorter[k]
         seen[pivot] = j
         for e in elements[pivot, : n_elements[pivot]]:
             merged[e] = True
@@ -174,13 +177,15 @@ def _eliminate(n, cells, valence):
             n_elements[node], degree[node] = kept + 1, neighbours
 
     number = np.empty(n, dtype=np.int64)
-    number[order] = np.arange(n)
+    for j in range(n):
+        number[order[j]] = j
     # Sorted by counting: columns into rows, and rows back into columns.
     total = start[n]
     row_start, columns, rows = np.zeros(n + 1, dtype=np.int64), np.empty(total, np.int64), np.empty(total, np.int64)
     for k in range(total):
         row_start[number[members[k]] + 1] += 1
-    row_start = np.cumsum(row_start)
+    for row in range(n):
+        row_start[row + 1] += row_start[row]
     end_of_row, end_of_column = row_start[:-1].copy(), start[:-1].copy()
     for j in range(n):
         for k in range(start[j], start[j + 1]):
@@ -200,8 +205,14 @@ def block_number(pattern, row, column):
     """Number of the block of two nodes in the order of elimination, row >= column."""
     if row == column:
         return len(pattern.rows) + row
-    start, end = pattern.column_start[column], pattern.column_start[column + 1]
-    return start + np.searchsorted(pattern.rows[start:end], row)
+    low, high = pattern.column_start[column], pattern.column_start[column + 1]
+    while low < high:
+        middle = (low + high) // 2
+        if pattern.rows[middle] < row:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
@@ -453,7 +464,8 @@ def march(system, state, pressures, allowed):
         _gather(x, system.cells, system.fixed, state.corners)
         if _turned_over(state.corners, system.kind, system.gauss):
             return positions, target, factorisations, True
-        positions[target] = x
+        for i in range(len(x)):
+            positions[target, i] = x[i]
     return positions, len(pressures), factorisations, False
 
 
@@ -481,10 +493,12 @@ def _newton(system, state, x, p, factorised, allowed):
             if not factorised:
                 theta = 0.5 * theta if theta > 0.25 else theta - 0.25  # 1, 0.5, 0.25, 0
         solve(system.pattern, state.tangent, state.inverses, step)
-        step *= -1.0
-        length = np.max(np.abs(step))  # NaN where there is one
-        if not np.isfinite(length):
-            break
+        length = 0.0
+        for i in range(len(step)):
+            if not np.isfinite(step[i]):
+                return False, factorisations
+            step[i] = -step[i]
+            length = max(length, abs(step[i]))
         s = 1.0
         if length > REUSE:  # shorter moves turn no element inside out, and are the last but a few
             s = _share_of_step(system, state, step, min(1.0, MAX_MOVE / max(length, MAX_MOVE)))

@@ -19,6 +19,7 @@ import numpy as np
 
 from inflate_lib import paths
 from inflate_lib._files import draft
+from inflate_lib.structures.labels import FRAME
 
 SOURCES = ("auto", "mnist", "digits")
 CHOSEN = "INFLATE_SOURCE"  # set by --source: what "auto" is to mean
@@ -113,7 +114,7 @@ def _mnist_sevens(split):
     images_name, labels_name = FILES[split]
     labels = np.frombuffer(_read(labels_name), np.uint8, offset=8)
     pixels = np.frombuffer(_read(images_name), np.uint8, offset=16)
-    return pixels.reshape(-1, 28, 28)[labels == 7]
+    return pixels.reshape(-1, FRAME, FRAME)[labels == 7]
 
 
 def _locate(name):
@@ -218,7 +219,7 @@ def _like_mnist(image):
     shape = np.rint(np.array(crop.shape) * 20 / max(crop.shape)).astype(int)
     digit = np.clip(resize(crop, shape, order=3, mode="constant"), 0, 1)
     centre = np.array([np.sum(axis * digit) for axis in np.indices(shape)]) / digit.sum()
-    top, left = np.clip(np.rint(13.5 - centre).astype(int), 0, 28 - shape)
-    frame = np.zeros((28, 28), np.uint8)
+    top, left = np.clip(np.rint((FRAME - 1) / 2 - centre).astype(int), 0, FRAME - shape)
+    frame = np.zeros((FRAME, FRAME), np.uint8)
     frame[top : top + shape[0], left : left + shape[1]] = np.rint(255 * digit)
     return frame
