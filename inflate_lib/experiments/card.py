@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 
 from inflate_lib._cache import digest
-from inflate_lib.descriptors import DESCRIPTORS, JOINT, PHYSICAL
+from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, get_descriptor
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.experiments.calibrate import calibrate
 from inflate_lib.experiments.run import held_out_targets, run_experiment
@@ -109,12 +109,12 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n: int | None =
         name, model = file.stem, TrainedModel.load(file)
         if model.metadata.get("data") != digest(data["image"].values, data["converged"].values):
             raise ValueError(f"{file} was trained on other data: {model.metadata.get('structures')} structures")
-        metrics = {}
-        for asked in (*DESCRIPTORS, *PHYSICAL) if name == JOINT else (name,):
+        metrics, joint = {}, get_descriptor(name).any_part
+        for asked in (*DESCRIPTORS, *PHYSICAL) if joint else (name,):
             table = _measured(model, asked, data, sampling, n_calibration, n, seed)
             rows = table.set_index("measure")[["value", "low", "high"]]
             known = [measure for measure in _MEASURES if measure in rows.index]
-            title = f"{JOINT}: {asked}" if name == JOINT else name
+            title = f"{name}: {asked}" if joint else name
             accuracy[title] = {_MEASURES[measure]: with_interval(*rows.loc[measure]) for measure in known}
             metrics[asked] = {measure: score(table, measure) for measure in known}
         about = model.metadata
@@ -126,7 +126,7 @@ def write_card(folder, data, sampling: Mapping, n_calibration=0, n: int | None =
             "loss": f"{model.history['loss'][-1]:.4f}",
             "held-out loss": f"{about.get('held_out_loss', float('nan')):.4f}",
         }
-        about["metrics"] = metrics if name == JOINT else metrics[name]
+        about["metrics"] = metrics if joint else metrics[name]
         model.save(file, half=True)
     recipe = (
         pd.Series(model.config.recipe())
