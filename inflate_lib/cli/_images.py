@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inflate_lib._checks import choice
 from inflate_lib.descriptors import describe
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.pictures import _reason, read_images
@@ -67,10 +68,8 @@ def simulate_files(files, options):
     ValueError
         For options that make no sense with any image.
     """
-    if options.colour not in QUANTITIES:
-        raise ValueError(f"colour must be one of {', '.join(QUANTITIES)}, not {options.colour!r}")
-    if options.engine not in ENGINES:
-        raise ValueError(f"engine must be one of {', '.join(ENGINES)}, not {options.engine!r}")
+    choice("colour", options.colour, QUANTITIES)
+    choice("engine", options.engine, ENGINES)
     if options.engine == "moose" and options.moose is None:
         raise ValueError("engine moose needs a folder for its files: --moose DIR")
     pictures = (".png", ".svg", ".pdf", ".jpg")

@@ -36,11 +36,11 @@ def reproduce(
 
 def tell_notebooks(retrain: bool, source: str) -> None:
     """Hand these options to the notebooks, which run in processes of their own."""
+    from inflate_lib._checks import choice
     from inflate_lib.models import RETRAIN
     from inflate_lib.structures.sources import CHOSEN, SOURCES
 
-    if source not in SOURCES:
-        raise ValueError(f"--source is {source!r}; it must be one of {', '.join(SOURCES)}")
+    choice("--source", source, SOURCES)
     if source != "auto":
         os.environ[CHOSEN] = source
     if retrain:

@@ -18,6 +18,7 @@ from joblib.parallel import get_active_backend
 import inflate_lib
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._checks import is_whole_number
 from inflate_lib._files import draft
 from inflate_lib.datasets import _workers
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -100,7 +101,7 @@ def simulate_dataset(
     images = _as_sequence(images)
     if n_jobs is None:
         n_jobs = get_active_backend()[1] or -1
-    if isinstance(n_jobs, bool) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
+    if not is_whole_number(n_jobs) or n_jobs == 0:
         raise ValueError(f"n_jobs must be 1, 2, … processes or -1 for one per core, not {n_jobs!r}")
     inflation.check_steps(n_steps)
     if time_limit is None:

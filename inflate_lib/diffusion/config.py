@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 
+from inflate_lib._checks import choice, flag, number, whole_number
 from inflate_lib.diffusion._random import initialised
 from inflate_lib.diffusion.process import check_objective
 from inflate_lib.diffusion.unet import UNet, check_conditioning
@@ -48,39 +49,30 @@ class TrainingConfig:
     def __post_init__(self):
         if not isinstance(self.channels, list | tuple) or not self.channels:
             raise ValueError(f"channels must be a list with the channels of each scale, not {self.channels!r}")
-        object.__setattr__(self, "channels", tuple(self.channels))
         if not isinstance(self.parts, list | tuple):
             raise ValueError(f"parts must be a list with the length of each part of the descriptor, not {self.parts!r}")
-        object.__setattr__(self, "parts", tuple(self.parts))
         check_objective(self.objective)
         check_conditioning(self.conditioning)
         if (self.steps is None) == (self.epochs is None):
             raise ValueError("give the training budget as exactly one of steps and epochs")
-        if self.learning_rate_decay not in ("constant", "cosine"):
-            raise ValueError(f"learning_rate_decay is constant or cosine, not {self.learning_rate_decay!r}")
-        if self.precision not in ("auto", "float32", "bfloat16"):
-            raise ValueError(f"precision is auto, float32 or bfloat16, not {self.precision!r}")
-        whole = {f.name: getattr(self, f.name) for f in fields(self) if f.type in (int, int | None)}
-        whole |= {f"channels[{i}]": c for i, c in enumerate(self.channels)}
-        whole |= {f"parts[{i}]": c for i, c in enumerate(self.parts)}
-        for name, value in whole.items():
-            least = 0 if name in ("seed", "warmup_steps") else 1
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-                raise ValueError(f"{name} must be a whole number of at least {least}, not {value!r}")
+        choice("learning_rate_decay", self.learning_rate_decay, ("constant", "cosine"))
+        choice("precision", self.precision, ("auto", "float32", "bfloat16"))
+        plain = {
+            name: tuple(whole_number(f"{name}[{i}]", value, 1) for i, value in enumerate(getattr(self, name)))
+            for name in ("channels", "parts")
+        }
+        for name in (f.name for f in fields(self) if f.type in (int, int | None)):
+            if getattr(self, name) is not None:
+                plain[name] = whole_number(name, getattr(self, name), 0 if name in ("seed", "warmup_steps") else 1)
+        for name in (f.name for f in fields(self) if f.type is float):
+            below = 1 if name in ("condition_dropout", "ema_decay") else math.inf
+            plain[name] = number(name, getattr(self, name), least=0, below=below)
+        for name, value in plain.items():
+            object.__setattr__(self, name, value)
         if self.embedding % 2:
             raise ValueError(f"embedding must be even (cosines and sines), not {self.embedding}")
-        ends = {"condition_dropout": 1, "ema_decay": 1, "vlb_weight": math.inf, "min_snr": math.inf}
-        ends |= {"learning_rate": math.inf}
-        for name, end in ends.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < end:
-                raise ValueError(
-                    f"{name} must be a number of at least 0 and less than {end}, not {value!r}"
-                    + " (YAML reads 1e-3 as text: write 1.0e-3)" * isinstance(value, str)
-                )
-        for name in ("attention", "compile"):
-            if not isinstance(getattr(self, name), bool):
-                raise ValueError(f"{name} must be true or false, not {getattr(self, name)!r}")
+        flag("attention", self.attention)
+        flag("compile", self.compile)
 
     def training_steps(self, n: int) -> int:
         """Training steps in all, on n pairs."""

@@ -14,6 +14,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from inflate_lib._checks import choice
 from inflate_lib.diffusion.schedule import Schedule, at
 
 NATS_PER_BIT = math.log(2)
@@ -22,8 +23,7 @@ OBJECTIVES = ("epsilon", "v")
 
 def check_objective(objective: str) -> None:
     """Raise a ValueError unless ``objective`` is one of ``OBJECTIVES``."""
-    if objective not in OBJECTIVES:
-        raise ValueError(f"objective must be one of {', '.join(OBJECTIVES)}, not {objective!r}")
+    choice("objective", objective, OBJECTIVES)
 
 
 # --- forward process ---------------------------------------------------------------------------------------------

@@ -4,7 +4,6 @@ The network's answer is first turned into an estimate of the clean image, which 
 then steps from x_t and that estimate. Without clipping, the ancestral one is Eq. 10 to the letter.
 """
 
-import math
 import warnings
 from collections.abc import Callable, Iterator
 
@@ -12,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from inflate_lib._checks import choice, number, whole_number
 from inflate_lib.diffusion import process
 from inflate_lib.diffusion._random import random_generator
 from inflate_lib.diffusion.model import TrainedModel
@@ -26,8 +26,7 @@ def timesteps(T: int, steps: int) -> list[int]:
 
     This is the spacing called "trailing": a sampler must begin where its input, pure noise, belongs.
     """
-    if not isinstance(steps, int | np.integer) or not 1 <= steps <= T:
-        raise ValueError(f"steps must be a whole number between 1 and {T}, not {steps!r}")
+    whole_number("steps", steps, 1, T)
     return (np.round(np.arange(T, 0, -T / steps)).astype(int) - 1).tolist()[:steps]
 
 
@@ -110,8 +109,7 @@ def denoise(
     clip : bool
         Clip the estimates of x₀ to [−1, 1].
     """
-    if sampler not in SAMPLERS:
-        raise ValueError(f"sampler must be one of {', '.join(SAMPLERS)}, not {sampler!r}")
+    choice("sampler", sampler, SAMPLERS)
     times = timesteps(len(schedule), len(schedule) if sampler == "ancestral" else steps)
     x, last = next(noise), None
     yield x
@@ -182,10 +180,8 @@ def generate(
     scaled = torch.from_numpy(model.scaled(_checked(model, conditions))).float()
     if not isinstance(eta, int | float) or not 0 <= eta <= 1:
         raise ValueError(f"eta must be between 0 and 1, not {eta!r}")
-    if not isinstance(guidance, int | float) or not math.isfinite(guidance):
-        raise ValueError(f"guidance must be a finite number, not {guidance!r}")
-    if not isinstance(batch_size, int | np.integer) or batch_size < 1:
-        raise ValueError(f"batch_size must be a whole number of at least 1, not {batch_size!r}")
+    number("guidance", guidance)
+    whole_number("batch_size", batch_size, 1)
     place = choose_device(device)
     net, size = model.net.to(place).eval(), model.image_size
     states = []

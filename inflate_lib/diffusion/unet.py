@@ -12,6 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from inflate_lib._checks import choice
+
 CONDITIONINGS = ("scale-shift", "add")
 
 
@@ -24,8 +26,7 @@ def sinusoidal_embedding(t: Tensor, width: int) -> Tensor:
 
 def check_conditioning(conditioning: str) -> None:
     """Raise a ValueError unless ``conditioning`` is one of ``CONDITIONINGS``."""
-    if conditioning not in CONDITIONINGS:
-        raise ValueError(f"conditioning must be one of {', '.join(CONDITIONINGS)}, not {conditioning!r}")
+    choice("conditioning", conditioning, CONDITIONINGS)
 
 
 def zero(layer: nn.Module) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._checks import whole_number
 from inflate_lib._files import draft
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.split import held_out
@@ -68,8 +69,7 @@ def run_experiment(
     """
     targets = check_targets(model, descriptor, targets, extrapolate)
     sampling = dict(sampling or {})
-    if n_per_target < 1:
-        raise ValueError(f"n_per_target must be at least 1, not {n_per_target!r}")
+    whole_number("n_per_target", n_per_target, 1)
     level = np.repeat(np.arange(len(targets)), n_per_target)
     told = targets if calibration is None else calibration.told(targets)
     if model.config.parts:  # one model for all descriptors

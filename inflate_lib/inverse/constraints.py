@@ -11,6 +11,7 @@ from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 from scipy import ndimage
 
+from inflate_lib._checks import flag, number, positive_number
 from inflate_lib.mechanics.mesh import boundary_loops
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, WALL, main_component
 
@@ -42,13 +43,11 @@ class Constraints:
 
     def __post_init__(self):
         for name, least in (("min_void", 0), ("max_material", PIXEL**2)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not value >= least:
-                raise ValueError(f"{name} must be a number of at least {least:.4g}, not {value!r}")
+            if getattr(self, name) != np.inf:  # no limit
+                number(name, getattr(self, name), least=least)
         if self.min_void > 1:
             raise ValueError(f"min_void {self.min_void:.4g} is more than the frame, which is 1 wide")
-        if not isinstance(self.symmetric, bool):
-            raise ValueError(f"symmetric must be True or False, not {self.symmetric!r}")
+        flag("symmetric", self.symmetric)
         if self.keep_out is not None:
             try:
                 left, bottom, right, top = (float(value) for value in self.keep_out)
@@ -99,8 +98,7 @@ class Constraints:
 
 def from_millimetres(size_mm, min_void=0.0, max_material=None, symmetric=False, keep_out=None):
     """Constraints of a frame with sides of `size_mm`, from millimetres and square millimetres."""
-    if not 0 < size_mm < np.inf:
-        raise ValueError(f"the size of the frame must be a positive number of millimetres, not {size_mm!r}")
+    positive_number("size_mm", size_mm, "millimetres")
     area = np.inf if max_material is None else max_material / size_mm**2
     region = None if keep_out is None else tuple(value / size_mm for value in keep_out)
     return Constraints(min_void / size_mm, area, symmetric, region)

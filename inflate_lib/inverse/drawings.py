@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
+from inflate_lib._checks import positive_number
+
 MAX_SIZE = 2000  # pixels of a drawing, per side
 
 
@@ -33,8 +35,7 @@ def read_outline(path, unit):
         Naming the file, where it cannot be read, or holds no shape or several.
     """
     path = Path(path)
-    if not isinstance(unit, int | float) or not 0 < unit < np.inf:
-        raise ValueError(f"the unit of the outline must be a positive number, not {unit!r}")
+    positive_number("the unit of the outline", unit)
     if not path.is_file():
         raise ValueError(f"{path} does not exist")
     points = _svg_points(path) if path.suffix.lower() == ".svg" else _picture_points(path)

@@ -12,6 +12,7 @@ from enum import StrEnum
 import numpy as np
 from scipy import ndimage
 
+from inflate_lib._checks import choice
 from inflate_lib.datasets.simulate import TIME_LIMIT
 from inflate_lib.descriptors import describe
 from inflate_lib.inverse.constraints import Constraints
@@ -112,8 +113,7 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
     flipped : list of (int, int)
         Row and column of the pixels, in order; with `symmetric`, each stands for its mirror image as well.
     """
-    if order not in ORDERS:
-        raise ValueError(f"order must be one of {', '.join(ORDERS)}, not {order!r}")
+    choice("order", order, ORDERS)
     rng, flipped, symmetric = np.random.default_rng(seed), [], constraints.symmetric
 
     def queue():

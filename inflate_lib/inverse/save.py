@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 import inflate_lib
+from inflate_lib._checks import positive_number
 from inflate_lib._files import draft
 from inflate_lib._provenance import package_versions
 from inflate_lib.io import moose, pictures
@@ -85,8 +86,7 @@ def save_designs(designs, folder, size_mm=SIZE_MM, depth_mm=DEPTH_MM, overwrite=
 def check_sizes(**sizes):
     """Raise a ValueError where one of the sizes, by name, is no length."""
     for name, value in sizes.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
-            raise ValueError(f"{name} must be a positive number of millimetres, not {value!r}")
+        positive_number(name, value, "millimetres")
 
 
 def check_folder(folder, overwrite=False):

@@ -17,6 +17,7 @@ import pandas as pd
 from joblib import Parallel, delayed
 
 from inflate_lib import paths
+from inflate_lib._checks import choice, positive_number, whole_number
 from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import JOINT, PARTS, PHYSICAL, Descriptors, describe, get_descriptor, registered
@@ -389,13 +390,11 @@ def _about(name, model):
 def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
     whole = (("n", n, 1), ("seed", seed, 0), ("max_candidates", max_candidates, 1), ("refine", refine, 0))
     for name, value, least in whole:
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise ValueError(f"{name} must be a whole number of at least {least}, not {value!r}")
-    for name, value in (("tolerance", tolerance), ("seconds", seconds)):
-        if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not value > 0:
-            raise ValueError(f"{name} must be a positive number, not {value!r}")
-    if prefer is not None and prefer not in PREFERENCES:
-        raise ValueError(f"prefer must be one of {', '.join(PREFERENCES)}, not {prefer!r}")
+        whole_number(name, value, least)
+    positive_number("tolerance", tolerance)
+    positive_number("seconds", seconds, finite=False)
+    if prefer is not None:
+        choice("prefer", prefer, PREFERENCES)
 
 
 def _check_model(name, model, targets):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inflate_lib._checks import positive_number
 from inflate_lib.descriptors import AXIS_POINTS, PHYSICAL, axis_height, basic, describe, get_descriptor
 from inflate_lib.inverse.drawings import read_outline
 from inflate_lib.mechanics import contact
@@ -50,13 +51,8 @@ class Targets:
     def __post_init__(self):
         object.__setattr__(self, "others", {name: _vector(name, value) for name, value in self.others.items()})
         for name in NUMBERS:
-            value = getattr(self, name)
-            if value is None:
-                continue
-            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            if not number or not 0 < value < np.inf:
-                raise ValueError(f"{name} must be a positive number, not {value!r}")
-            object.__setattr__(self, name, float(value))
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, float(positive_number(name, getattr(self, name))))
         if self.stretch is not None and self.stretch < 1:
             raise ValueError(f"stretch is the largest ratio of lengths, at least 1, not {self.stretch:g}")
         if self.axis is not None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from inflate_lib._checks import choice
 from inflate_lib.io import _exodus
 from inflate_lib.mechanics._kernels import MAX_HALVINGS
 from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, load_history
@@ -145,8 +146,7 @@ _INPUT = """\
 
 def input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
     """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`."""
-    if element not in ELEMENTS:
-        raise ValueError(f"element must be one of {', '.join(ELEMENTS)}, not {element!r}")
+    choice("element", element, ELEMENTS)
     lam, mu = (float(value) for value in lame)
     times, pressures = load_history(pressure, n_steps)
     return _INPUT.format(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
+from inflate_lib._checks import choice
 from inflate_lib.mechanics import stress
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.structures.labels import FRAME
@@ -85,9 +86,7 @@ def write_animation(
 
 def _coloured(result, quantity):
     """Values (steps + 1, m) of a quantity, the undeformed state first, and its label."""
-    if quantity not in QUANTITIES:
-        raise ValueError(f"colour must be one of {', '.join(QUANTITIES)}, not {quantity!r}")
-    function, label, at_rest = QUANTITIES[quantity]
+    function, label, at_rest = QUANTITIES[choice("colour", quantity, QUANTITIES)]
     values = getattr(stress, function)(result)
     return np.concatenate([np.full_like(values[:1], at_rest), values]), label
 

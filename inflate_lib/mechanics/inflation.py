@@ -24,6 +24,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from inflate_lib._checks import choice, positive_number, whole_number
 from inflate_lib.mechanics import _kernels, material
 from inflate_lib.mechanics.material import LAMBDA, MU
 from inflate_lib.mechanics.mesh import Mesh, build_mesh, check_mesh
@@ -153,8 +154,7 @@ def inflate(
         For a label image that cannot be inflated (see :func:`inflate_lib.mechanics.mesh.build_mesh`) and for
         parameters out of range.
     """
-    if element not in ELEMENTS:
-        raise ValueError(f"element must be one of {', '.join(ELEMENTS)}, not {element!r}")
+    choice("element", element, ELEMENTS)
     times, pressures = load_history(pressure, n_steps)
     lam, mu = _numbers("lame", lame, 2, "two positive numbers (λ, μ)")
     if lam <= 0 or mu <= 0:
@@ -218,16 +218,13 @@ def nominal_seconds(system):
 
 def check_steps(n_steps):
     """Raise a ValueError where `n_steps` is no number of load steps."""
-    if isinstance(n_steps, bool) or not isinstance(n_steps, int | np.integer) or not 1 <= n_steps <= 10_000:
-        raise ValueError(f"n_steps must be a whole number from 1 to 10000, not {n_steps!r}")
+    whole_number("n_steps", n_steps, 1, 10_000)
 
 
 def check_time_limit(seconds):
     """Raise a ValueError where `seconds` is neither None nor a positive number."""
     if seconds is not None:
-        (number,) = _numbers("time_limit", [seconds], 1, "a positive number of seconds")
-        if isinstance(seconds, bool | str) or number <= 0:
-            raise ValueError(f"time_limit must be a positive number of seconds, not {seconds!r}")
+        positive_number("time_limit", seconds, "seconds")
 
 
 def _numbers(name, values, count, wanted):

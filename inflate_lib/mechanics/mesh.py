@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from inflate_lib._checks import whole_number
 from inflate_lib.structures.labels import OUTSIDE, VOID, WALL, turns_to_bottom
 
 
@@ -60,8 +61,7 @@ def build_mesh(label: np.ndarray, refine: int = 1, clamped: str = "bottom") -> M
         missing or open.
     """
     label = check_label(label, clamped)
-    if isinstance(refine, bool) or not isinstance(refine, int | np.integer) or refine < 1:
-        raise ValueError(f"refine must be a whole number of at least 1, not {refine!r}")
+    whole_number("refine", refine, 1)
     label = np.kron(label, np.ones((refine, refine))) if refine > 1 else label
     size = len(label)
 

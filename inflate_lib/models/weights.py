@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from inflate_lib import paths
+from inflate_lib._checks import whole_number
 from inflate_lib.datasets.pairs import _about, _mean
 from inflate_lib.descriptors import columns, get_descriptor, joint_conditions, name_of
 from inflate_lib.diffusion import TrainedModel, generate
@@ -73,9 +74,8 @@ class Model:
             The model does not take such targets; they are no finite numbers of the right shape; or out of reach, with
             the range that can be reached.
         """
-        for name, value, least in (("n", n, 1), ("seed", seed, 0)):
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-                raise ValueError(f"{name} must be a whole number of at least {least}, not {value!r}")
+        whole_number("n", n, 1)
+        whole_number("seed", seed, 0)
         wanted = self._vectors(targets)
         m = len(next(iter(wanted.values())))
         for row in range(m if self.reach is not None else 0):

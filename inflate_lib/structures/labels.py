@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from inflate_lib._checks import choice, number, whole_number
+
 FRAME = 28  # pixels per side; the frame is the unit square
 PIXEL = 1 / FRAME  # side of a pixel
 THICKNESS = 2  # of the wall, in pixels
@@ -71,10 +73,8 @@ def stages(
     image: np.ndarray, threshold: float = THRESHOLD, wall: int = THICKNESS, pad: bool = True, clamped: str = "bottom"
 ) -> Stages:
     """Every intermediate image of :func:`label_image`, as :class:`Stages`; same arguments, same errors."""
-    if isinstance(wall, bool) or not isinstance(wall, int | np.integer) or not 1 <= wall <= FRAME:
-        raise ValueError(f"wall must be a whole number of pixels from 1 to {FRAME}, not {wall!r}")
-    if not isinstance(threshold, int | float | np.number) or not 0 <= threshold < 1:
-        raise ValueError(f"threshold must be a number of at least 0 and less than 1, not {threshold!r}")
+    whole_number("wall", wall, 1, FRAME)
+    number("threshold", threshold, least=0, below=1)
     from scipy import ndimage  # here and below: whoever trains elsewhere has flips and shifts, but no SciPy
 
     turns = turns_to_bottom(clamped)
@@ -92,9 +92,7 @@ def stages(
 
 def turns_to_bottom(clamped):
     """Quarter turns (of ``np.rot90``) that bring an edge of the frame to the bottom, or a ValueError."""
-    if not isinstance(clamped, str) or clamped not in EDGES:
-        raise ValueError(f"clamped must be one of {', '.join(EDGES)}, not {clamped!r}")
-    return EDGES.index(clamped)
+    return EDGES.index(choice("clamped", clamped, EDGES))
 
 
 def as_grey(image):

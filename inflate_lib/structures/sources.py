@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from inflate_lib import paths
+from inflate_lib._checks import choice, whole_number
 from inflate_lib._files import draft
 from inflate_lib.structures.labels import FRAME
 
@@ -64,8 +65,7 @@ def resolve_source(source: str = "auto") -> str:
     """
     if source == "auto":
         source = os.environ.get(CHOSEN) or source
-    if source not in SOURCES:
-        raise ValueError(f"source is {source!r}; it must be one of {', '.join(map(repr, SOURCES))}")
+    choice("source", source, SOURCES)
     if source != "auto":
         return source
     try:
@@ -98,10 +98,9 @@ def load_sevens(source: str = "auto", limit: int | None = None, split: str = "tr
     ConnectionError
         ``source="mnist"``, no folder is named and no mirror delivers.
     """
-    if split not in FILES:
-        raise ValueError(f"split is {split!r}; it must be 'train' or 'test'")
-    if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int | np.integer) or limit < 1):
-        raise ValueError(f"limit is {limit!r}; it must be a whole number of at least 1, or None for all sevens")
+    choice("split", split, FILES)
+    if limit is not None:
+        whole_number("limit", limit, 1)
     source = resolve_source(source)
     images = _mnist_sevens(split) if source == "mnist" else _embedded_sevens()
     description = DESCRIPTIONS[split if source == "mnist" else "digits"]
