@@ -1,4 +1,4 @@
-"""From a picture to an inflated shape, and back: structures drawn for a height, each verified by inflating it.
+"""Structures for a wanted height: drawn by a diffusion model, verified by inflation.
 
 python examples/quickstart.py [picture.png]
 """
@@ -10,29 +10,30 @@ import numpy as np
 from inflate_lib import describe, inflate, label_image, load_model, load_sevens
 from inflate_lib.io import write_picture
 
-# Forwards: a handwritten seven stands for a soft wall around a cavity, and pressure gives it its shape.
+# Forwards: a handwritten seven stands for a soft wall around a cavity. Pressure inflates
+# the cavity, and the shape that comes out is measured in sides of the 28-pixel frame.
 seven = load_sevens("digits").images[0]
-structure = label_image(seven)  # 28 × 28 labels: outside, wall, void
-shape = describe(inflate(structure))
-print(f"a seven inflates to height {shape.height:.3f} and width {shape.width:.3f}, in sides of the frame")
+shape = describe(inflate(label_image(seven)))
+print(f"a seven inflates to height {shape.height:.3f}, width {shape.width:.3f}")
 
-# Backwards: which structures become 1.05 high? There are many, so a diffusion model draws fifty from noise.
+# Backwards: many structures become 1.05 high, so a diffusion model draws fifty from noise.
 wanted = 1.05
-model = load_model("height", profile="laptop")  # trained weights from the repository
+model = load_model("height", profile="laptop")  # trained weights of the repository
 drawn = model.draw({"height": wanted}, n=50, seed=0)
 
-# A drawing is a promise. The simulation that described the seven shows whether it is kept.
+# How near each comes is not known before it is inflated in turn.
 results = []
 for image in drawn:
     try:
         results.append(inflate(label_image(image)))
-    except ValueError:  # no closed wall that fits the frame
+    except ValueError:  # the drawing is no structure that fits the frame
         continue
 results = [result for result in results if result.converged]
 heights = np.array([describe(result).height for result in results])
 best = np.abs(heights - wanted).argmin()
+error = 100 * abs(heights[best] / wanted - 1)
 
-print(f"{len(results)} of {len(drawn)} drawings inflate; wanted height {wanted}, on average {heights.mean():.3f}")
-print(f"the best is {heights[best]:.4f} high, {100 * abs(heights[best] / wanted - 1):.3f} % off")
+print(f"{len(results)} of {len(drawn)} drawings inflate, to height {heights.mean():.3f} on average")
+print(f"wanted {wanted}, achieved by the best {heights[best]:.4f}: {error:.3f} % off")
 picture = write_picture(results[best], sys.argv[1] if len(sys.argv) > 1 else "quickstart.png")
-print(f"before and after inflation: {picture}")
+print(f"the best, before and after inflation: {picture}")

@@ -20,8 +20,8 @@ def test_quickstart_draws_verifies_and_shows(tmp_path):
         [sys.executable, script, "seen.png"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    inflated, wanted, mean = re.search(r"(\d+) of 50 .* height ([\d.]+), on average ([\d.]+)", done.stdout).groups()
-    best, error = re.search(r"best is ([\d.]+) high, ([\d.]+) % off", done.stdout).groups()
+    inflated, mean = re.search(r"(\d+) of 50 drawings inflate, to height ([\d.]+)", done.stdout).groups()
+    wanted, best, error = re.search(r"wanted ([\d.]+), .* the best ([\d.]+): ([\d.]+) % off", done.stdout).groups()
     assert int(inflated) >= 45 and float(mean) == pytest.approx(float(wanted), rel=0.03)
     assert float(error) < 0.5
     assert float(best) == pytest.approx(float(wanted), rel=0.006)
