@@ -248,7 +248,7 @@ def versions(folder):
         ("mechanics/material.py", "0.1644", "0.1645", "dataset"),
         ("datasets/split.py", "% 10 == 9\n", "% 10 == 8\n", "dataset"),
         ("diffusion/schedule.py", "0.008", "0.009", "model"),
-        ("models/train.py", "seed=0", "seed=1", "model"),
+        ("models/train.py", "steps // 10", "steps // 20", "model"),
         ("experiments/run.py", "WHOLE = 0.9", "WHOLE = 0.8", "experiment"),
         ("alternatives/autoencoder.py", "LATENT = 4", "LATENT = 5", "alternative"),
         ("plotting/style.py", "17.0", "18.0", "notebook"),
