@@ -11,6 +11,7 @@ was.
 import argparse
 import itertools
 import time
+from dataclasses import replace
 
 import pandas as pd
 import torch
@@ -19,15 +20,13 @@ from stored import store
 
 from inflate_lib._cache import step_version
 from inflate_lib.alternatives import ablation
-from inflate_lib.book.profiles import load_profile
-from inflate_lib.datasets.pairs import training_pairs
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
-from inflate_lib.experiments.run import held_out, held_out_targets
+from inflate_lib.experiments.run import held_out_targets
+from inflate_lib.models.recipe import load_recipe
 from inflate_lib.models.remote import train_and_test
-from inflate_lib.models.train import trained_model_file
-from inflate_lib.models.weights import committed_weights
+from inflate_lib.models.train import trained_model_file, training_set
+from inflate_lib.models.weights import Model, committed_weights
 
 NORMALISATION = "network", "one group in each normalisation"
 
@@ -57,35 +56,33 @@ def options():
     return parser.parse_args()
 
 
-def run(variant, seed, training, n_structures, data, targets, common, descriptor):
+def run(variant, seed, training, n_structures, data, targets, recipe, descriptor):
     """One row: train, generate, evaluate."""
     group, name = variant
     few = data if n_structures is None else data.isel(structure=slice(0, n_structures))
+    recipe = replace(recipe, training=training, seed=seed)
     if variant == NORMALISATION:
-        model = train_with_one_group(seed, training, data, common["n_augmented"], descriptor)
+        model = train_with_one_group(recipe, data, descriptor)
     else:
-        given = descriptor, training, few, common["n_augmented"], seed
+        given = descriptor, recipe, few
         path = committed_weights(*given)[0] or trained_model_file(*given, threads=1)
         model = TrainedModel.load(path)
     row = {"group": group, "variant": name, "seed": seed, "pairs": model.metadata["pairs"]}
     row |= {"training_seconds": model.metadata["seconds"], "held_out_loss": model.metadata["held_out_loss"]}
-    return row | ablation.evaluate_variant(model, descriptor, data, targets, common["sampling"], seed, n_jobs=1)
+    return row | ablation.evaluate_variant(Model(descriptor, model, recipe.sampling), data, targets, seed, n_jobs=1)
 
 
-def train_with_one_group(seed, training, data, n_augmented, descriptor):
+def train_with_one_group(recipe, data, descriptor):
     """As `trained_model_file` does, but not kept: a model file does not tell one normalisation from another."""
-    pairs = training_pairs(data, descriptor, n_augmented, seed)
-    rest = data.isel(structure=data["converged"].values & held_out(data.sizes["structure"]))
-    unseen = rest["image"].values, descriptor_matrix(rest, descriptor)
-    config = OneGroup.from_dict({**training, "seed": seed})
-    return train_and_test(pairs, unseen, config, {}, None, f"training {descriptor}, one group", 1)
+    known, config = training_set(descriptor, recipe, data), OneGroup.from_dict(recipe.config(descriptor).as_dict())
+    return train_and_test(known.pairs, known.unseen, config, {}, None, f"training {descriptor}, one group", 1)
 
 
 def main():
     given = options()
-    common = load_profile(given.profile).common
+    recipe = load_recipe(given.profile)
     budget = {"epochs": None, "steps": given.steps, "device": "cpu"}
-    training = {k: v for k, v in common["training"].items() if k not in ("checkpoint_every", "steps_of")} | budget
+    training = {k: v for k, v in recipe.training.items() if k not in ("checkpoint_every", "steps_of")} | budget
     data = simulated_sevens(given.source)
     targets, _ = held_out_targets(data, given.descriptor, n=given.targets)
     variants = ablation.training_variants(training) | {NORMALISATION: (training, None)}
@@ -96,7 +93,7 @@ def main():
         variants = {k: v for k, v in variants.items() if k[1] in given.only}
     start, rows = time.monotonic(), []
     tasks = (
-        delayed(run)(variant, seed, *variants[variant], data, targets, common, given.descriptor)
+        delayed(run)(variant, seed, *variants[variant], data, targets, recipe, given.descriptor)
         for variant, seed in itertools.product(variants, range(given.seeds))
     )
     for row in Parallel(n_jobs=given.jobs, return_as="generator")(tasks):
@@ -110,8 +107,8 @@ def main():
         descriptor=given.descriptor,
         targets=len(targets),
         training=TrainingConfig.from_dict(training).recipe(),
-        sampling=common["sampling"],
-        n_augmented=common["n_augmented"],
+        sampling=recipe.sampling,
+        n_augmented=recipe.n_augmented,
         learning_code=step_version("experiment"),
     )
 

@@ -11,6 +11,7 @@ import argparse
 import json
 import os
 import time
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -21,10 +22,9 @@ from stored import store
 from inflate_lib._cache import cached, code_version, digest, step_version
 from inflate_lib.alternatives.steering import run_steered, steer
 from inflate_lib.alternatives.surrogate import train_surrogate
-from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import describe, descriptor_matrix
-from inflate_lib.diffusion import TrainedModel, generate
+from inflate_lib.diffusion import generate
 from inflate_lib.experiments.calibrate import calibrate
 from inflate_lib.experiments.metrics import bootstrap, misses, r_squared
 from inflate_lib.experiments.run import held_out_targets, model_digest, run_experiment
@@ -33,7 +33,8 @@ from inflate_lib.inverse.refine import attempt, border, refine, with_flipped
 from inflate_lib.inverse.targets import Targets
 from inflate_lib.mechanics.adjoint import flip_changes, sensitivities
 from inflate_lib.mechanics.inflation import inflate
-from inflate_lib.paths import PRETRAINED
+from inflate_lib.models.recipe import load_recipe
+from inflate_lib.models.weights import load_model
 
 DESCRIPTOR = "height"  # a scalar with a sensitivity
 GOAL = 1e-3  # relative error at which a refinement stops
@@ -62,24 +63,23 @@ class Study:
     def __init__(self, given):
         torch.set_num_threads(1)
         self.given, self.seed, self.started = given, given.seed, time.monotonic()
-        common = load_profile(given.profile).common
-        self.sampling = common["sampling"]
-        self.model = TrainedModel.load(PRETRAINED / given.profile / f"{DESCRIPTOR}.safetensors")
+        recipe = load_recipe(given.profile)
+        self.model = load_model(DESCRIPTOR, given.profile).sampled()
         self.data = simulated_sevens(given.source)
         self.targets, _ = held_out_targets(self.data, DESCRIPTOR, self.model, given.targets, given.seed)
         self.surrogate = train_surrogate(self.data, given.surrogate_steps, given.seed)
-        sampling, n = {**self.sampling, "guidance": 3.0}, common["n_calibration"]
-        self.calibration = calibrate(self.model, DESCRIPTOR, self.data, sampling, given.seed, n, n_jobs=1)
+        guided, n = self.model.sampled(guidance=3.0), recipe.n_calibration
+        self.calibration = calibrate(guided, self.data, n, given.seed, n_jobs=1)
         self.rows = []
 
     def draw(self, n, guidance, calibration=None, strength=0.0):
         """An experiment with n structures per target, and the seconds that one takes."""
-        sampling = {**self.sampling, "guidance": guidance}
-        given = self.model, DESCRIPTOR, self.targets
+        calibrations = {} if calibration is None else {DESCRIPTOR: calibration}
+        model = replace(self.model.sampled(guidance=guidance), calibrations=calibrations)
         if strength:
-            answer = run_steered(*given, self.surrogate, strength, n, sampling, self.seed, calibration, n_jobs=1)
+            answer = run_steered(model, self.targets, self.surrogate, strength, n, self.seed, n_jobs=1)
         else:
-            answer = run_experiment(*given, n, sampling, self.seed, 1, True, calibration)
+            answer = run_experiment(model, self.targets, n, self.seed, n_jobs=1, extrapolate=True)
         return answer, self.clocks()[f"{guidance:g}, {strength:g}"]
 
     def clocks(self):
@@ -97,17 +97,22 @@ class Study:
             target.write_text(json.dumps(least))
 
         strongest = self.given.strength
-        key = {"model": model_digest(self.model), "sampling": self.sampling, "strength": strongest, "n": TIMED}
+        key = {
+            "model": model_digest(self.model.trained),
+            "sampling": self.model.sampling,
+            "strength": strongest,
+            "n": TIMED,
+        }
         return json.loads(cached("seconds", key | {"code": self.code()}, make, ".json").read_text())
 
     def _clock(self, guidance, strength):
-        options = {name: value for name, value in self.sampling.items() if name != "sampler"} | {"guidance": guidance}
+        model = self.model.sampled(sampler="ddim", guidance=guidance)
         y = np.resize(self.targets, (TIMED, 1))
         start = time.process_time()
         if strength:
-            images = steer(self.model, DESCRIPTOR, y, y, self.surrogate, strength, self.seed, **options)
+            images = steer(model, y, y, self.surrogate, strength, self.seed)
         else:
-            images = generate(self.model, y, self.seed, "ddim", **options)
+            images = generate(model.trained, y, self.seed, **model.sampling)
         drawn = time.process_time()
         self.surrogate.predict(images, DESCRIPTOR)
         asked = time.process_time()
@@ -252,7 +257,7 @@ def main():
         descriptor=DESCRIPTOR,
         targets=len(study.targets),
         profile=given.profile,
-        sampling=study.sampling,
+        sampling=study.model.sampling,
         surrogate_steps=given.surrogate_steps,
         strength=given.strength,
         goal=GOAL,

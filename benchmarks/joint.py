@@ -22,17 +22,17 @@ from stored import store
 
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives.ablation import evaluate_variant
-from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, columns, descriptor_matrix, get_descriptor
-from inflate_lib.diffusion import TrainedModel, generate
+from inflate_lib.diffusion import generate
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.experiments.run import held_out_targets, judge, model_digest
 from inflate_lib.inverse.search import models_in_order
 from inflate_lib.models.calibration import Calibration
-from inflate_lib.paths import PRETRAINED
+from inflate_lib.models.recipe import load_recipe
+from inflate_lib.models.weights import load_model
 
 TOGETHER = (
     ("height", "width"),
@@ -64,18 +64,16 @@ class Study:
 
     def __init__(self, given):
         self.given, self.started, self.rows = given, time.monotonic(), []
-        common = load_profile(given.profile).common
-        self.sampling, self.n_calibration = common["sampling"], common["n_calibration"]
-        names = (*DESCRIPTORS, JOINT)
-        self.models = {name: TrainedModel.load(PRETRAINED / given.profile / f"{name}.safetensors") for name in names}
+        self.recipe = load_recipe(given.profile)
+        self.models = {name: load_model(name, given.profile).sampled() for name in (*DESCRIPTORS, JOINT)}
         self.data = simulated_sevens(given.source)
 
     def ways(self, single=None):
-        """Name, model and options of sampling: the joint model with each guidance, after the single one."""
+        """The models, not calibrated: the joint model with each guidance, after the single one."""
         if single:
-            yield single, self.models[single], self.sampling
+            yield self.models[single]
         for w in self.given.guidance:
-            yield JOINT, self.models[JOINT], {**self.sampling, "guidance": w}
+            yield self.models[JOINT].sampled(guidance=w)
 
     def one(self, name):
         """Rows of one descriptor: its own model, where it has one, and the joint model, on the same targets."""
@@ -83,12 +81,12 @@ class Study:
         targets, _ = held_out_targets(
             self.data, name, self.models[single or JOINT], self.given.targets, self.given.seed
         )
-        for model_name, model, sampling in self.ways(single):
+        for model in self.ways(single):
             measured = evaluate_variant(
-                model, name, self.data, targets, sampling, self.given.seed, 1, self.n_calibration
+                model, self.data, targets, self.given.seed, self.recipe.n_calibration, name, n_jobs=1
             )
             measured["unit"] = get_descriptor(name).error.unit
-            self.add("one target", name, model_name, sampling, 1, measured)
+            self.add("one target", name, model, 1, measured)
 
     def several(self, parts):
         """Rows of several descriptors at once: the single model that takes most of them, and the joint model."""
@@ -98,15 +96,15 @@ class Study:
         asked = np.full(joint.shape, np.nan)
         for part in parts:
             asked[:, COLUMNS[part]] = joint[:, COLUMNS[part]]
-        known = np.random.default_rng([seed, 5]).permutation(training_rows(self.data))[: self.n_calibration]
-        for model_name, model, sampling in self.ways(single):
-            told = asked if model_name == JOINT else descriptor_matrix(self.data, model_name)
-            calibration = self.calibration(model, model_name, told[known], sampling)
+        known = np.random.default_rng([seed, 5]).permutation(training_rows(self.data))[: self.recipe.n_calibration]
+        for model in self.ways(single):
+            told = asked if model.name == JOINT else descriptor_matrix(self.data, model.name)
+            calibration = self.calibration(model, told[known])
             wanted = np.array(told[rows])
             known_columns = np.isfinite(wanted).all(axis=0)
             if calibration:
                 wanted[:, known_columns] = calibration.told(wanted[:, known_columns])
-            drawn = self.drawn(model, np.repeat(wanted, self.given.candidates, axis=0), sampling, seed)
+            drawn = self.drawn(model, np.repeat(wanted, self.given.candidates, axis=0), seed)
             target = np.repeat(joint[rows], self.given.candidates, axis=0)
             achieved = descriptor_matrix(drawn, JOINT)
             misses = [
@@ -115,18 +113,18 @@ class Study:
             worst = np.where(drawn["valid"].values, np.max(misses, axis=0), np.inf).reshape(len(rows), -1)
             for n in sorted({1, self.given.candidates}):
                 measured = self.measured(worst[:, :n].min(axis=1))
-                self.add("several targets", " and ".join(parts), model_name, sampling, n, measured)
+                self.add("several targets", " and ".join(parts), model, n, measured)
 
-    def calibration(self, model, name, told, sampling):
+    def calibration(self, model, told):
         """What a model has to be told; None for one that does not listen enough."""
-        drawn = self.drawn(model, told, sampling, self.given.seed + 1_000_003)
+        drawn = self.drawn(model, told, self.given.seed + 1_000_003)
         columns, valid = np.isfinite(told).all(axis=0), drawn["valid"].values
         try:
-            return Calibration.fit(told[valid][:, columns], descriptor_matrix(drawn, name)[valid][:, columns])
+            return Calibration.fit(told[valid][:, columns], descriptor_matrix(drawn, model.name)[valid][:, columns])
         except ValueError:
             return None
 
-    def drawn(self, model, told, sampling, seed):
+    def drawn(self, model, told, seed):
         """One structure for each row that a model is told, inflated and judged, piece by piece.
 
         `run_experiment` has whole targets only; here most of what the joint model could be told is NaN.
@@ -135,13 +133,14 @@ class Study:
         def make(target, scratch):
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")  # calibrated ones may
-                images = generate(model, piece, seed=seed, start=start, **sampling)
+                images = generate(model.trained, piece, seed=seed, start=start, **model.sampling)
             save_dataset(judge(images, JOINT, piece, n_jobs=1), target)
 
         pieces = []
         for start in range(0, len(told), PIECE):
             piece = told[start : start + PIECE]
-            key = {"model": model_digest(model), "told": digest(piece), "sampling": sampling, "seed": seed}
+            key = {"model": model_digest(model.trained), "told": digest(piece)}
+            key |= {"sampling": model.sampling, "seed": seed}
             key |= {"start": start, "code": step_version("experiment")}
             pieces.append(load_dataset(cached("joint", key, make, ".nc")))
         return xr.concat(pieces, "structure", data_vars="minimal", combine_attrs="drop_conflicts")
@@ -158,8 +157,9 @@ class Study:
             row |= dict(zip((name, f"{name} low", f"{name} high"), map(float, values), strict=True))
         return row
 
-    def add(self, group, targets, model, sampling, n, measured):
-        row = {"group": group, "targets": targets, "model": model, "guidance": sampling["guidance"], "n": n} | measured
+    def add(self, group, targets, model, n, measured):
+        row = {"group": group, "targets": targets, "model": model.name, "guidance": model.sampling["guidance"], "n": n}
+        row |= measured
         self.rows.append(row)
         print(f"{time.monotonic() - self.started:.0f} s: {row}", flush=True)
 
@@ -178,8 +178,8 @@ def main():
         data=f"{study.data.attrs['source']}, {study.data.sizes['structure']} structures",
         targets=given.targets,
         profile=given.profile,
-        sampling=study.sampling,
-        n_calibration=study.n_calibration,
+        sampling=study.recipe.sampling,
+        n_calibration=study.recipe.n_calibration,
         near=NEAR,
     )
 

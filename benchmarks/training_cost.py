@@ -12,10 +12,9 @@ import pandas as pd
 import stored
 import typer
 
-from inflate_lib import paths
-from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS
+from inflate_lib.models.recipe import load_recipe
 from inflate_lib.models.train import training_cost
 
 TIMED = {"paper": ["height"], "laptop": DESCRIPTORS}  # of the five of paper, one stands for all
@@ -25,10 +24,10 @@ def main(steps: int = 200):
     load = round(os.getloadavg()[0], 1)
     rows = []
     for profile, names in TIMED.items():
-        given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
-        data = simulated_sevens(given["source"], given["n_structures"])
+        recipe = load_recipe(profile)
+        data = simulated_sevens(recipe.source, recipe.n_structures)
         for name in names:
-            cost = training_cost([name], given["training"], data, given["n_augmented"], given["seed"], steps)
+            cost = training_cost([name], recipe, data, steps)
             cost.insert(0, "profile", profile)
             cost.insert(2, "steps timed", steps)
             rows.append(cost)

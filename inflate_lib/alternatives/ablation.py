@@ -6,6 +6,7 @@ Sampling is varied with a trained model at hand. Training is varied by training 
 
 import warnings
 from contextlib import suppress
+from dataclasses import replace
 
 import pandas as pd
 
@@ -68,10 +69,10 @@ def training_variants(training):
     return variants
 
 
-def sampling_ablation(model, descriptor, data, targets, sampling, seed=0, n_calibration=0):
+def sampling_ablation(model, data, targets, seed=0, n_calibration=0):
     """The same targets, sampled in every way of :func:`sampling_variants`.
 
-    With `n_calibration` structures each way is calibrated by itself, and a last row is `sampling` without calibration.
+    With `n_calibration` structures each way is calibrated by itself; the last row is then the model's own way without.
 
     Returns
     -------
@@ -79,28 +80,28 @@ def sampling_ablation(model, descriptor, data, targets, sampling, seed=0, n_cali
         A row per way: group, variant, and of each measure the value with low and high, the ends of its interval.
     """
     rows = []
-    for (group, name), options in sampling_variants(sampling).items():
-        measured = evaluate_variant(model, descriptor, data, targets, options, seed, n_calibration=n_calibration)
+    for (group, name), options in sampling_variants(model.sampling).items():
+        measured = evaluate_variant(model.sampled(**options), data, targets, seed, n_calibration=n_calibration)
         rows.append({"group": group, "variant": name} | measured)
     if n_calibration:
-        measured = evaluate_variant(model, descriptor, data, targets, sampling, seed, n_calibration=0)
+        measured = evaluate_variant(model, data, targets, seed, n_calibration=0)
         rows.append({"group": "calibration", "variant": "none"} | measured)
     return pd.DataFrame(rows)
 
 
-def evaluate_variant(model, descriptor, data, targets, sampling, seed=0, n_jobs=-1, n_calibration=N_CALIBRATION):
+def evaluate_variant(model, data, targets, seed=0, n_calibration=N_CALIBRATION, descriptor=None, n_jobs=-1):
     """Measures of one model on given targets; those outside the range that it was trained on count as well.
 
-    The targets are calibrated (:mod:`inflate_lib.models.calibration`), unless the model does not listen enough for
-    that, or `n_calibration` is 0.
+    It is calibrated anew, unless it does not listen enough for that, or `n_calibration` is 0.
     """
-    calibration = None
+    descriptor, model = descriptor or model.name, model.sampled()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".* lie outside the (training data|range of the training data)")
         if n_calibration:
             with suppress(ValueError):
-                calibration = calibrate(model, descriptor, data, sampling, seed, n_calibration, n_jobs)
-        experiment = run_experiment(model, descriptor, targets, 1, sampling, seed, n_jobs, True, calibration)
+                calibration = calibrate(model, data, n_calibration, seed, descriptor, n_jobs)
+                model = replace(model, calibrations={descriptor: calibration})
+        experiment = run_experiment(model, targets, 1, seed, descriptor, n_jobs, extrapolate=True)
     return measures(experiment, descriptor, data, seed)
 
 

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor, nn
 
 from inflate_lib._cache import cached, digest, step_version
-from inflate_lib.datasets.pairs import training_pairs
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import added_version, descriptor_matrix
@@ -101,7 +100,7 @@ class TrainedAutoencoder:
             return self.net.decode(z, self.scaled(np.asarray(conditions, dtype=float))).numpy()
 
 
-def train_autoencoder(data, descriptor, like, n_augmented, seed=0):
+def train_autoencoder(pairs, like):
     """Train the autoencoder that stands beside a diffusion model, or find it trained in the cache.
 
     It has as many parameters (the nearest width), sees as many images of the same pairs, in batches of the same
@@ -109,18 +108,15 @@ def train_autoencoder(data, descriptor, like, n_augmented, seed=0):
 
     Parameters
     ----------
-    data : xarray.Dataset
-        Simulated structures.
-    descriptor : str
-    like : TrainedModel
-    n_augmented, seed : int
-        See :func:`inflate_lib.datasets.pairs.training_pairs`.
+    pairs : inflate_lib.datasets.pairs.TrainingSet
+        Its seed is also that of the training.
+    like : inflate_lib.diffusion.TrainedModel
 
     Returns
     -------
     TrainedAutoencoder
     """
-    images, conditions = training_pairs(data, descriptor, n_augmented, seed)
+    (images, conditions), seed = pairs.pairs, pairs.seed
     low, high = conditions.min(axis=0), conditions.max(axis=0)
     steps, batch_size = like.config.training_steps(len(images)), like.config.batch_size
     width = nearest_width(conditions.shape[1], like.net.n_parameters)
@@ -136,7 +132,7 @@ def train_autoencoder(data, descriptor, like, n_augmented, seed=0):
             told = KL_WEIGHT * kl_to_standard_normal(mean, log_variance)
             return (reconstruction_nll(x[rows], net.decode(z, y[rows])) + told).mean() / x[0].numel()
 
-        what = f"training the autoencoder ({descriptor})"
+        what = f"training the autoencoder ({pairs.descriptor})"
         history, seconds = fit(net, loss, len(x), steps, batch_size, 2e-3, seed, scratch, what)
         _storage.write(target, "autoencoder", net.state_dict(), {"history": history, "seconds": seconds})
 

@@ -107,7 +107,7 @@ def selection(candidates, descriptor, trained, ns=(1, 4, 16, 50), seconds=None, 
     return pd.DataFrame(rows)
 
 
-def seconds_per_structure(model, trained, targets, sampling, seed=0):
+def seconds_per_structure(model, trained, targets, seed=0):
     """What one candidate costs in seconds of one core: to generate it, to simulate it, to ask the surrogate.
 
     Measured once, on as many structures as there are targets, and kept in the cache.
@@ -126,7 +126,7 @@ def seconds_per_structure(model, trained, targets, sampling, seed=0):
             for name in ("generate", "simulate", "surrogate", "simulate", "surrogate"):  # twice: the first one warms up
                 start = time.process_time()
                 if name == "generate":
-                    images = generate(model, targets, seed, **sampling)
+                    images = generate(model.trained, targets, seed, **model.sampling)
                 elif name == "simulate":
                     simulate_dataset(images, n_jobs=1, progress_text=False)
                 else:
@@ -137,8 +137,8 @@ def seconds_per_structure(model, trained, targets, sampling, seed=0):
         target.write_text(json.dumps(found))
 
     key = {
-        "model": model_digest(model),
-        "sampling": dict(sampling),
+        "model": model_digest(model.trained),
+        "sampling": model.sampling,
         "n": len(targets),
         "code": step_version("alternative"),
     }

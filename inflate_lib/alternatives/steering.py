@@ -65,33 +65,34 @@ def correction(x0: Tensor, wanted: Tensor, trained: surrogate.Surrogate, columns
     return step * (LARGEST / largest)[:, None, None, None]
 
 
-def steer(model, descriptor, told, wanted, trained, strength=1.0, seed=0, steps=20, eta=1.0, guidance=1.0, start=0):
+def steer(model, told, wanted, trained, strength=1.0, seed=0, start=0):
     """Structures drawn by DDIM under the guidance of a surrogate.
 
     Parameters
     ----------
-    model : TrainedModel
-    descriptor : str
+    model : inflate_lib.models.Model
+        Of one of the paper's descriptors; of its sampling, the sampler is not looked at.
     told, wanted : (m, N) array_like
         What the model is told, and what the surrogate compares with; they differ where the model is calibrated.
     trained : Surrogate
     strength : float
         0 is plain sampling, the very structures of :func:`inflate_lib.diffusion.generate`.
-    seed, steps, eta, guidance, start
+    seed, start
         As there.
 
     Returns
     -------
     array, shape (m, 28, 28), float32 in [0, 1]
     """
-    columns = descriptors.columns(descriptor, surrogate.ANSWERS)
-    y = torch.from_numpy(model.scaled(np.asarray(told, dtype=float))).float()
+    columns, network = descriptors.columns(model.name, surrogate.ANSWERS), model.trained
+    options = {"steps": 20, "eta": 1.0, "guidance": 1.0, **model.sampling}
+    y = torch.from_numpy(network.scaled(np.asarray(told, dtype=float))).float()
     scaled = (np.asarray(wanted, dtype=float) - trained.mean[columns]) / trained.scale[columns]
     scaled = torch.from_numpy(scaled).float()
-    net, schedule, objective = model.net.eval(), model.schedule, model.config.objective
+    net, schedule, objective = network.net.eval(), network.schedule, network.config.objective
 
     def predict(x, t):
-        answer = guided(net, x, t, y, guidance)
+        answer = guided(net, x, t, y, options["guidance"])
         if strength == 0:
             return answer
         x0 = process.predicted_x0(schedule, x, t, answer, objective).clamp(-1, 1)
@@ -102,38 +103,34 @@ def steer(model, descriptor, told, wanted, trained, strength=1.0, seed=0, steps=
         return noise if objective == "epsilon" else trust.sqrt() * noise - (1 - trust).sqrt() * x0
 
     with torch.no_grad():
-        noise = _noise(seed, range(start, start + len(y)), model.image_size, torch.device("cpu"))
-        for x in denoise(predict, schedule, noise, objective, "ddim", steps, eta):
+        noise = _noise(seed, range(start, start + len(y)), network.image_size, torch.device("cpu"))
+        for x in denoise(predict, schedule, noise, objective, "ddim", options["steps"], options["eta"]):
             last = x
     return ((last[:, 0] + 1) / 2).clamp(0, 1).numpy()
 
 
-def run_steered(model, descriptor, targets, trained, strength, n_per_target, sampling, seed, calibration, n_jobs=-1):
-    """An experiment like :func:`inflate_lib.experiments.run.run_experiment`, steered by a surrogate; kept in the cache.
-
-    `sampling` is that of DDIM.
-    """
-    targets = check_targets(model, descriptor, targets, extrapolate=True)
+def run_steered(model, targets, trained, strength, n_per_target, seed, n_jobs=-1):
+    """As :func:`inflate_lib.experiments.run.run_experiment`, steered by a surrogate; kept in the cache."""
+    targets = check_targets(model.trained, model.name, targets, extrapolate=True)
     level = np.repeat(np.arange(len(targets)), n_per_target)
-    told = targets if calibration is None else calibration.told(targets)
-    options = {name: value for name, value in sampling.items() if name != "sampler"}
+    told = model.told(model.name, targets)
 
     def make(target, scratch):
         images = [
-            steer(model, descriptor, told[rows], targets[rows], trained, strength, seed, start=start, **options)
+            steer(model, told[rows], targets[rows], trained, strength, seed, start)
             for start in range(0, len(level), 256)
             for rows in [level[start : start + 256]]
         ]
-        save_dataset(judge(np.concatenate(images), descriptor, targets, level, n_jobs, scratch), target)
+        save_dataset(judge(np.concatenate(images), model.name, targets, level, n_jobs, scratch), target)
 
     key = {
-        "descriptor": descriptor,
-        "model": model_digest(model),
+        "descriptor": model.name,
+        "model": model_digest(model.trained),
         "surrogate": digest(*(value.numpy() for _, value in sorted(trained.net.state_dict().items()))),
         "targets": digest(targets, told),
         "strength": strength,
         "n_per_target": n_per_target,
-        "sampling": sampling,
+        "sampling": model.sampling,
         "seed": seed,
         "code": step_version("alternative") + descriptors.added_version(),
     }

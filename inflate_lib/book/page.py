@@ -13,7 +13,7 @@ import os
 import platform
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from inflate_lib._files import draft
 from inflate_lib._progress import RUNNER
 from inflate_lib._provenance import code_state, package_versions
 from inflate_lib.book.profiles import declared_parameters
+from inflate_lib.models.recipe import Recipe, load_recipe
 
 SOURCES = {"mnist": "MNIST training sevens", "digits": "scikit-learn digits, embedded (no MNIST here)"}
 _RECORD = "application/papermill.record/"  # the mark under which myst-nb looks for glued values
@@ -47,12 +48,15 @@ class Page:
 
     Attributes
     ----------
-    profile, seed
+    profile
         As in the notebook's parameters.
-    source
-        ``"mnist"`` or ``"digits"``: the parameter ``source`` with "auto" resolved.
     parameters : dict
         Every declared parameter with its value in this run.
+    recipe : inflate_lib.models.recipe.Recipe
+        The profile's, with what the notebook's names change: a parameter ``seed = 1``, ``training = {"steps": 500}``,
+        or any other value of the recipe, declared or not; None changes nothing.
+    seed, source
+        Of the recipe; the source is ``"mnist"`` or ``"digits"``, "auto" being resolved.
     folder : Path
         ``figures/runs/<profile>/``.
     """
@@ -61,12 +65,12 @@ class Page:
         self.notebook = notebook
         self.parameters = _parameters(notebook, namespace)
         self.profile = str(self.parameters.get("profile", "interactive"))
-        self.seed = self.parameters.get("seed")
-        self.source = _resolve(self.parameters["source"]) if "source" in self.parameters else None
+        changes = {field.name: namespace.get(field.name) for field in fields(Recipe)}
+        self.recipe = load_recipe(self.profile).changed(**changes)
+        self.seed, self.source = self.recipe.seed, _resolve(self.recipe.source)
         self.folder = paths.FIGURES / self.profile
         self._kinds: dict[str, tuple[str, ...]] = {}
-        origin = f" · data source: {SOURCES.get(self.source, self.source)}" if self.source else ""
-        print(f"Profile: {self.profile}{origin}")
+        print(f"Profile: {self.profile} · data source: {SOURCES[self.source]}")
 
     def figure(self, fig: Figure, name: str, dpi: int = 200) -> Image:
         """Write ``<name>.png``, ``<name>.svg`` and the provenance; return the picture for display and close `fig`.
@@ -113,6 +117,7 @@ class Page:
             "notebook": self.notebook,
             "profile": self.profile,
             "parameters": self.parameters,
+            "recipe": asdict(self.recipe),
             "data_source": self.source,
             "seed": self.seed,
             "python": platform.python_version(),

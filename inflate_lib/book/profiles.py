@@ -4,13 +4,15 @@ A profile is a file ``notebooks/profiles/<name>.yml``::
 
     name: ci
     description: minutes on two cores
+    recipe: {…}              # see inflate_lib.models.recipe; a notebook asks for it by the profile's name
     common:                  # given to every notebook that declares the parameter
-      seed: 0
+      n_per_target: 50
     notebooks:
       08_training:           # one section per notebook
-        training_steps: 2000
+        n_losses: 500
 
-A notebook declares its parameters, with their defaults, in the cell tagged ``parameters``.
+A notebook declares its parameters, with their defaults, in the cell tagged ``parameters``. Those that have the name of
+something in the recipe change it.
 """
 
 import ast
@@ -20,10 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import jupytext
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from inflate_lib import paths
+from inflate_lib._yaml import hint
+from inflate_lib.models.recipe import Recipe, read_profile
 
 
 class ProfileError(ValueError):
@@ -37,8 +39,15 @@ class Profile(BaseModel):
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_-]*$")
     description: str = ""
+    recipe: dict[str, Any]
     common: dict[str, Any] = {}
     notebooks: dict[str, dict[str, Any]] = {}
+
+    @field_validator("recipe")
+    @classmethod
+    def _whole_recipe(cls, value: dict[str, Any]) -> dict[str, Any]:
+        Recipe.from_dict(value)
+        return value
 
     @field_validator("common", "notebooks", mode="before")
     @classmethod
@@ -50,6 +59,11 @@ class Profile(BaseModel):
     @classmethod
     def _empty_section(cls, value: Any) -> Any:
         return {k: {} if v is None else v for k, v in value.items()} if isinstance(value, dict) else value
+
+    def recipe_of(self, notebook: Path) -> Recipe:
+        """The recipe as the parameters of a notebook change it."""
+        values = self.parameters(notebook)
+        return Recipe.from_dict(self.recipe).changed(**{name: values[name] for name in self.recipe.keys() & values})
 
     def parameters(self, notebook: Path) -> dict[str, Any]:
         """All parameters of a notebook under this profile: its defaults, then `common`, then its own section.
@@ -67,19 +81,15 @@ class Profile(BaseModel):
 
 def load_profile(name: str, folder: Path | None = None) -> Profile:
     """Read ``<name>.yml``; ProfileError names the file and what to change where it does not follow the layout."""
-    folder = folder or paths.PROFILES
-    path = folder / f"{name}.yml"
-    if not path.is_file():
-        there = ", ".join(sorted(file.stem for file in folder.glob("*.yml"))) or "none"
-        raise ProfileError(f"no profile {name!r} in {folder}; there are: {there}")
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
+        content, path = read_profile(name, folder)
+    except ValueError as error:
+        raise ProfileError(str(error)) from error
+    try:
         profile = Profile.model_validate(content)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path} is not valid YAML: {error}") from error
     except ValidationError as error:
         lines = [f"  {'.'.join(map(str, e['loc'])) or 'the file'}: {e['msg']}" for e in error.errors()]
-        head = f"{path} is no profile (name, description, common, notebooks):"
+        head = f"{path} is no profile (name, description, recipe, common, notebooks):"
         raise ProfileError("\n".join([head, *lines])) from error
     if profile.name != name:
         raise ProfileError(f"{path} calls itself {profile.name!r}: name and file name must agree")
@@ -90,6 +100,10 @@ def check_profile(profile: Profile, notebooks: list[Path]) -> None:
     """Compare a profile with what all the notebooks declare; ProfileError lists everything that does not fit."""
     declared = {path.stem: declared_parameters(path) for path in notebooks}
     problems = []
+    try:
+        Recipe.from_dict(profile.recipe).config("height")
+    except ValueError as error:
+        problems.append(f"recipe.training: {error}")
     for name, value in profile.common.items():
         users = [parameters[name] for parameters in declared.values() if name in parameters]
         if name == "profile":
@@ -153,13 +167,12 @@ def _mismatch(where: str, value: Any, default: Any) -> str | None:
             return f"{where}: unknown {', '.join(unknown)}; there are: {', '.join(default)}"
         problems = (_mismatch(f"{where}.{name}", entry, default[name]) for name, entry in value.items())
         return next(filter(None, problems), None)
-    hint = f"; YAML reads {value} as text: write {_with_point(value)}" if _is_number(value) else ""
     if default is None:
-        return f"{where}: {value!r} is str{hint}" if hint else None
+        return f"{where}: {value!r} is str{hint(value)}" if hint(value) else None
     if _fits(value, default):
         return None
     kinds = type(value).__name__, type(default).__name__
-    return f"{where}: {value!r} is {kinds[0]}, the notebook's default {default!r} is {kinds[1]}{hint}"
+    return f"{where}: {value!r} is {kinds[0]}, the notebook's default {default!r} is {kinds[1]}{hint(value)}"
 
 
 def _fits(value: Any, default: Any) -> bool:
@@ -182,28 +195,3 @@ def _converted(value: Any, default: Any) -> Any:
     if isinstance(default, list) and default and isinstance(value, list):
         return [_converted(entry, default[0]) for entry in value]
     return value
-
-
-def _is_number(value: Any) -> bool:
-    """Whether a text is a number that YAML did not recognise, such as 1e-3."""
-    try:
-        float(value)
-    except (TypeError, ValueError):
-        return False
-    return isinstance(value, str)
-
-
-def _with_point(number: str) -> str:
-    mantissa, exponential, exponent = number.lower().partition("e")
-    return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{exponent}" if exponential else number
-
-
-class _StrictLoader(yaml.SafeLoader):
-    """YAML that refuses a key given twice instead of keeping the last."""
-
-    def construct_mapping(self, node, deep=False):
-        keys = [key.value for key, _ in node.value]
-        for key, _ in node.value:
-            if keys.count(key.value) > 1:
-                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} is given twice", key.start_mark)
-        return super().construct_mapping(node, deep)

@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from inflate_lib._provenance import package_versions
 from inflate_lib.book._execution import Kernels, execute
 from inflate_lib.book.profiles import Profile, check_profile, load_profile
 from inflate_lib.models import RETRAIN
+from inflate_lib.models.recipe import Recipe
 from inflate_lib.structures.sources import CHOSEN, resolve_source
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
@@ -60,6 +61,7 @@ class Job:
 
     source: Path
     parameters: dict[str, Any]
+    recipe: Recipe
     fingerprint: dict[str, Any]
 
     @property
@@ -159,15 +161,16 @@ def reproduce(
 
 
 def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> Job:
-    parameters = profile.parameters(notebook)
+    parameters, recipe = profile.parameters(notebook), profile.recipe_of(notebook)
     fingerprint = {
         "profile": profile.name,
         "notebook": digest(notebook.read_bytes()),
         "parameters": digest(json.dumps(parameters, sort_keys=True)),
-        "data source": _resolved(parameters["source"]) if "source" in parameters else None,
+        "recipe": digest(json.dumps(asdict(recipe), sort_keys=True)),
+        "data source": _resolved(recipe.source),
         **shared,
     }
-    return Job(notebook, parameters, fingerprint)
+    return Job(notebook, parameters, recipe, fingerprint)
 
 
 def _shared_fingerprint() -> dict[str, Any]:
@@ -195,9 +198,7 @@ def _check_source(work: list[Job]) -> None:
         return
     for job in work:
         before, now = executed_under(job.executed), job.fingerprint["data source"]
-        automatic = (
-            job.parameters.get("source") == "auto" and before and before["profile"] == job.fingerprint["profile"]
-        )
+        automatic = job.recipe.source == "auto" and before and before["profile"] == job.fingerprint["profile"]
         if automatic and before["source"] not in (None, now):
             raise RunError(
                 f"{job.name} was executed on {_DATA[before['source']]}, and the source 'auto' means {_DATA[now]} now: "

@@ -19,10 +19,10 @@ def card(
 ) -> None:
     """Measure the weights of a profile on held-out targets, and write the model card beside them."""
     paths.need_checkout("inflate card")
-    from inflate_lib.book.profiles import load_profile
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.experiments.card import write_card
+    from inflate_lib.models.recipe import load_recipe
 
-    given = load_profile(profile).parameters(paths.NOTEBOOKS / "10_scalar_targets.md")
-    data = simulated_sevens(given["source"], given["n_structures"] or None)
-    print(write_card(folder or paths.PRETRAINED / profile, data, given["sampling"], given["n_calibration"], targets))
+    recipe = load_recipe(profile)
+    data = simulated_sevens(recipe.source, recipe.n_structures)
+    print(write_card(folder or paths.PRETRAINED / profile, data, recipe, targets))

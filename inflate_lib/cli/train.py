@@ -1,5 +1,6 @@
 """``inflate train``: train the models of a profile."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -27,22 +28,23 @@ def train(
     A machine that has little but PyTorch: --pack pairs.safetensors, and there python -m inflate_lib.models.remote …
     """
     paths.need_checkout("inflate train")
-    from inflate_lib.book.profiles import load_profile
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
     from inflate_lib.diffusion import _ranks
     from inflate_lib.models import train
+    from inflate_lib.models.reach import save_reach
+    from inflate_lib.models.recipe import load_recipe
 
     if pack is not None and (steps, out, log) != (None, None, None):
         raise ValueError("--pack trains nothing: leave out --steps, --out and --log")
     if steps is not None and (out, log) != (None, None):
         raise ValueError("--steps is a dry run, which keeps nothing: leave out --out and --log")
     names = list(DESCRIPTORS) if descriptor == "all" else [get_descriptor(descriptor).name]
-    given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
-    training = given["training"] | ({"device": device} if device else {}) | ({"compile": True} if compile else {})
-    _ranks.start(training.get("device", "auto"))
-    data = simulated_sevens(given["source"], given["n_structures"] or None)
-    basis = names, training, data, given["n_augmented"], given["seed"]
+    recipe = load_recipe(profile)
+    recipe = recipe.changed(training=({"device": device} if device else {}) | ({"compile": True} if compile else {}))
+    _ranks.start(recipe.training.get("device", "auto"))
+    data = simulated_sevens(recipe.source, recipe.n_structures)
+    basis = names, recipe, data
     if pack is not None:
         train.pack(pack, *basis, profile)
         text = f"{', '.join(names)}: {pack}, {pack.stat().st_size / 1e6:.1f} MB"
@@ -54,19 +56,22 @@ def train(
     else:
         log = log or paths.CACHE / "logs" / profile
         files = train.train_models(*basis, log)
-        text = "\n".join(_export(Path(file), name, profile, out) for name, file in files.items() if file)
+        told = {"profile": profile, "sampling": dict(recipe.sampling)}
+        text = "\n".join(_export(Path(file), name, told, out) for name, file in files.items() if file)
+        if out is not None and _ranks.rank() == 0:
+            save_reach(data, out)
     if _ranks.rank() == 0:
         print(text)
     _ranks.finish()
 
 
-def _export(file: Path, name: str, profile: str, out: Path | None) -> str:
-    """Copy a trained model in 16 bits to `out`; a line about it."""
+def _export(file: Path, name: str, told: Mapping, out: Path | None) -> str:
+    """Copy a trained model in 16 bits to `out`, with what it is told about itself; a line about it."""
     from inflate_lib.diffusion import TrainedModel
 
     model = TrainedModel.load(file)
     if out is not None:
-        model.metadata |= {"profile": profile}
+        model.metadata |= told
         file = out / f"{name}.safetensors"
         model.save(file, half=True)
     about, loss = model.metadata, model.history["loss"][-1]

@@ -1,67 +1,88 @@
 """What a model is trained on: augmented images with their descriptors, and where they come from (paper sec. 3.2)."""
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+import xarray as xr
 
 from inflate_lib._cache import digest
-from inflate_lib.datasets.split import held_out
+from inflate_lib.datasets.split import held_out, training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
-from inflate_lib.structures.augmentation import apply_variants, augment, augment_descriptors
+from inflate_lib.structures import augmentation
 
 
-def training_pairs(data, descriptor, n_augmented, seed=0):
-    """Augmented images and descriptors to train on (paper sec. 3.2).
+@dataclass(frozen=True)
+class TrainingSet:
+    """What the model of one descriptor is trained on; what is derived from it is computed once, when it is asked for.
 
-    Parameters
+    Attributes
     ----------
     data : xarray.Dataset
         Simulated structures, all of them; those that did not converge and those of
-        :func:`inflate_lib.datasets.split.held_out` are left out.
+        :func:`inflate_lib.datasets.split.held_out` are not trained on.
     descriptor : str
-        "height", "width", "box", "area" or "axis".
     n_augmented : int
         Number of pairs; where flips and shifts do not give as many, all that they give.
     seed : int
         Of the draw among flips and shifts.
-
-    Returns
-    -------
-    images : (m, 28, 28) uint8
-    conditions : (m, N) float
     """
-    seen = _part(data, ~_held_out(data))
-    images = seen["image"].values
-    variants = _variants(images, n_augmented, seed)
-    matrix = descriptor_matrix(seen, descriptor)
-    conditions = augment_descriptors(matrix, get_descriptor(descriptor).mirrored(matrix), variants)
-    return apply_variants(images, variants), conditions
 
+    data: xr.Dataset
+    descriptor: str
+    n_augmented: int = augmentation.PAPER_SAMPLES
+    seed: int = 0
 
-def _part(data, which):
-    """The structures of a part that inflate."""
-    return data.isel(structure=np.flatnonzero(data["converged"].values & which))
+    def __post_init__(self):
+        get_descriptor(self.descriptor)  # refuses a name that is none
 
+    @cached_property
+    def originals(self) -> tuple[np.ndarray, np.ndarray]:
+        """Images (n, 28, 28) and descriptors (n, N) of the structures that are trained on."""
+        return self._part(training_rows(self.data))
 
-def _variants(images, n_augmented, seed):
-    """As many flips and shifts as are wanted, or all."""
-    return augment(images, min(n_augmented, len(augment(images))), seed=seed)
+    @cached_property
+    def mirrored(self) -> np.ndarray:
+        """Descriptors (n, N) of the mirror images of the originals."""
+        return get_descriptor(self.descriptor).mirrored(self.originals[1])
 
+    @cached_property
+    def unseen(self) -> tuple[np.ndarray, np.ndarray]:
+        """Images (k, 28, 28) and descriptors (k, N) of those that are held out."""
+        kept = held_out(self.data.sizes["structure"]) & self.data["converged"].values
+        return self._part(np.flatnonzero(kept))
 
-def _held_out(data):
-    return held_out(data.sizes["structure"])
+    @cached_property
+    def variants(self) -> np.ndarray:
+        """Flips and shifts of the originals, (m, 4): see :func:`inflate_lib.structures.augmentation.augment`."""
+        images = self.originals[0]
+        n = min(self.n_augmented, len(augmentation.augment(images)))
+        return augmentation.augment(images, n, seed=self.seed)
 
+    @cached_property
+    def pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """What is trained on: images (m, 28, 28) uint8 and descriptors (m, N)."""
+        images, known = self.originals
+        conditions = augmentation.augment_descriptors(known, self.mirrored, self.variants)
+        return augmentation.apply_variants(images, self.variants), conditions
 
-def _about(descriptor, data, n_augmented):
-    """What a model was trained on, exactly."""
-    get_descriptor(descriptor)
-    return {
-        "descriptor": descriptor,
-        "source": data.attrs.get("source", "unknown"),
-        "structures": int(data["converged"].sum()),
-        "data": digest(data["image"].values, data["converged"].values),
-        "held_out": "index % 10 == 9",
-        "n_augmented": n_augmented,
-    }
+    @cached_property
+    def about(self) -> dict:
+        """What it is, exactly: two sets that agree in this are the same images, variants and split."""
+        return {
+            "descriptor": self.descriptor,
+            "source": self.data.attrs.get("source", "unknown"),
+            "structures": int(self.data["converged"].sum()),
+            "data": digest(self.data["image"].values, self.data["converged"].values),
+            "held_out": "index % 10 == 9",
+            "n_augmented": self.n_augmented,
+        }
 
+    @cached_property
+    def mean(self) -> list[float]:
+        """Mean descriptor of all structures, (N,), by which simulations are told apart whose last digits may differ."""
+        return np.nanmean(descriptor_matrix(self.data, self.descriptor), axis=0).tolist()
 
-def _mean(descriptor, data):
-    return np.nanmean(descriptor_matrix(data, descriptor), axis=0).tolist()
+    def _part(self, rows):
+        part = self.data.isel(structure=rows)
+        return part["image"].values, descriptor_matrix(part, self.descriptor)

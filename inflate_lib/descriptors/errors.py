@@ -103,8 +103,8 @@ def hausdorff(axes, others):
 
 def _distances(axes, others):
     apart = np.asarray(axes) - np.asarray(others)
-    return np.linalg.norm(apart.reshape(*apart.shape[:-1], -1, 2), axis=-1)
+    return np.linalg.norm(apart.reshape(*apart.shape[:-1], apart.shape[-1] // 2, 2), axis=-1)
 
 
 def _height(targets):
-    return axis_height(targets.reshape(*targets.shape[:-1], -1, 2))
+    return axis_height(targets.reshape(*targets.shape[:-1], targets.shape[-1] // 2, 2))

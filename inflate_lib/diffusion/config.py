@@ -95,9 +95,9 @@ class TrainingConfig:
     @classmethod
     def from_dict(cls, values: Mapping) -> "TrainingConfig":
         """The reverse of ``as_dict``; an unknown name is a ValueError."""
-        unknown = set(values) - {f.name for f in fields(cls)}
-        if unknown:
-            raise ValueError(f"unknown training options: {', '.join(sorted(unknown))}")
+        known = [f.name for f in fields(cls)]
+        if unknown := [name for name in values if name not in known]:
+            raise ValueError(f"unknown training options: {', '.join(unknown)}; there are: {', '.join(known)}")
         return cls(**values)
 
     def make_net(self, n_conditions: int) -> UNet:

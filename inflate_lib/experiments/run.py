@@ -5,7 +5,6 @@ number of the target) and ``valid``. Structures from elsewhere, such as real one
 """
 
 import warnings
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from inflate_lib._files import draft
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.split import held_out
 from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors import PARTS, added_version, columns, descriptor_matrix, get_descriptor, joint_conditions
+from inflate_lib.descriptors import PARTS, added_version, columns, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.structures import labels
 
@@ -24,37 +23,25 @@ WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for
 PIECE = 128  # structures generated at a time, which is what a killed run can lose
 
 
-def run_experiment(
-    model,
-    descriptor,
-    targets,
-    n_per_target=50,
-    sampling: Mapping | None = None,
-    seed=0,
-    n_jobs=-1,
-    extrapolate=False,
-    calibration=None,
-):
+def run_experiment(model, targets, n_per_target=50, seed=0, descriptor=None, n_jobs=-1, extrapolate=False):
     """Generate structures for each target, inflate and describe them (paper sec. 2.3).
 
     Parameters
     ----------
-    model : TrainedModel
-    descriptor : str
+    model : inflate_lib.models.Model
+        With its sampling and its calibrations.
     targets : (k, N) array_like
         Wanted descriptors, in lengths or areas of the unit square.
     n_per_target : int
         Structures generated for each target.
-    sampling : Mapping, optional
-        Options of :func:`inflate_lib.diffusion.generate`: sampler, steps, eta, guidance.
     seed : int
         Of the noise.
+    descriptor : str, optional
+        What is asked for, where it is not all that the model was trained for: a part of those of the joint model.
     n_jobs : int
         Processes of the simulation.
     extrapolate : bool
         Generate for targets outside the range of the training data as well, with a warning.
-    calibration : inflate_lib.models.calibration.Calibration, optional
-        Turns each target into what the model has to be told to reach it; by default that is the target itself.
 
     Returns
     -------
@@ -67,29 +54,27 @@ def run_experiment(
         For targets of the wrong shape, or outside the range of the training data without `extrapolate`; for options
         that the sampler does not have.
     """
-    targets = check_targets(model, descriptor, targets, extrapolate)
-    sampling = dict(sampling or {})
+    descriptor = descriptor or model.name
+    targets = check_targets(model.trained, descriptor, targets, extrapolate)
     whole_number("n_per_target", n_per_target, 1)
     level = np.repeat(np.arange(len(targets)), n_per_target)
-    told = targets if calibration is None else calibration.told(targets)
-    if model.config.parts:  # one model for all descriptors
-        told = joint_conditions(descriptor, told)
+    told = model.told(descriptor, targets)
 
     def make(target, scratch):
-        drawn = _draw(model, told[level], seed, sampling, scratch)
+        drawn = _draw(model, told[level], seed, scratch)
         images = np.concatenate(list(_progress.track(drawn, len(level), f"generating structures ({descriptor})")))
         data = judge(images, descriptor, targets, level, n_jobs, scratch)
-        data.attrs |= {"seed": seed} | {f"sampling_{k}": v for k, v in sampling.items()}
+        data.attrs |= {"seed": seed} | {f"sampling_{k}": v for k, v in model.sampling.items()}
         save_dataset(data, target)
 
     key = {
         "descriptor": descriptor,
-        "model": model_digest(model),
-        "objective": model.config.objective,
+        "model": model_digest(model.trained),
+        "objective": model.trained.config.objective,
         "targets": digest(targets),
         "told": digest(told),
         "n_per_target": n_per_target,
-        "sampling": sampling,
+        "sampling": model.sampling,
         "seed": seed,
         "code": step_version("experiment") + added_version(),
     }
@@ -182,7 +167,7 @@ def held_out_targets(data, descriptor, model=None, n=200, seed=0):
     data : xarray.Dataset
         Simulated structures, all of them.
     descriptor : str
-    model : TrainedModel, optional
+    model : inflate_lib.models.Model, optional
         Leave structures out whose descriptor lies outside its training range.
     n : int
         How many, drawn without repetition; all of them where there are fewer.
@@ -198,7 +183,7 @@ def held_out_targets(data, descriptor, model=None, n=200, seed=0):
     usable = np.flatnonzero(data["converged"].values & held_out(data.sizes["structure"]))
     order = np.random.default_rng(seed).permutation(usable)
     matrix = descriptor_matrix(data, descriptor)
-    rows = order if model is None else order[inside(model, descriptor, matrix[order])]
+    rows = order if model is None else order[inside(model.trained, descriptor, matrix[order])]
     return matrix[rows[:n]], rows[:n]
 
 
@@ -217,16 +202,16 @@ def model_digest(model):
     return digest(*weights, model.condition_min, model.condition_max)
 
 
-def _draw(model, targets, seed, sampling, folder):
+def _draw(model, told, seed, folder):
     """Images piece by piece, with the number in each; a piece that a killed run has left in `folder` is not redone."""
-    for start in range(0, len(targets), PIECE):
+    for start in range(0, len(told), PIECE):
         path = folder / f"images-{start:06d}.npy"
         if path.exists():
             images = np.load(path)
         else:
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")  # said once already
-                images = generate(model, targets[start : start + PIECE], seed=seed, start=start, **sampling)
+                images = generate(model.trained, told[start : start + PIECE], seed=seed, start=start, **model.sampling)
             with draft(path) as place:
                 np.save(place, images)
         yield len(images), images

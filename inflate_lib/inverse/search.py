@@ -18,10 +18,9 @@ from joblib import Parallel, delayed
 
 from inflate_lib import paths
 from inflate_lib._checks import choice, positive_number, whole_number
-from inflate_lib.book.profiles import load_profile
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import JOINT, PARTS, PHYSICAL, Descriptors, describe, get_descriptor, registered
-from inflate_lib.diffusion import TrainedModel, generate
+from inflate_lib.diffusion import generate
 from inflate_lib.diffusion._storage import fingerprint
 from inflate_lib.inverse.constraints import Constraints, mirrored
 from inflate_lib.inverse.refine import Rejection, attempt
@@ -29,11 +28,11 @@ from inflate_lib.inverse.refine import refine as refine_structure
 from inflate_lib.inverse.targets import Targets, as_targets, deviations
 from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.models.reach import check_reach
-from inflate_lib.models.weights import trained_models
+from inflate_lib.models.recipe import load_recipe
+from inflate_lib.models.weights import Model, load_model, trained_models
 from inflate_lib.structures.labels import FRAME, OUTSIDE
 
 PREFERENCES = ("low-stress", "high-stress")
-SAMPLING = {"sampler": "ddim", "steps": 25, "eta": 1.0, "guidance": 3.0}
 BATCH = 64  # candidates
 NEAR, INSIDE = 3, 0.5  # misses of up to 3 times the tolerance are refined, until they are at half of it
 SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
@@ -144,7 +143,7 @@ def design(
     targets: Targets | Mapping,
     n: int = 12,
     *,
-    model: tuple[str, TrainedModel] | None = None,
+    model: Model | None = None,
     profile: str | None = None,
     data=None,
     constraints: Constraints | None = None,
@@ -154,7 +153,6 @@ def design(
     seconds: float = 90.0,
     max_candidates: int = 4096,
     refine: int = 60,
-    sampling: Mapping | None = None,
     n_jobs: int = -1,
     say: Callable | None = print,
 ) -> Designs:
@@ -167,12 +165,12 @@ def design(
         :func:`inflate_lib.inverse.targets.as_targets`.
     n : int
         Number of designs.
-    model : (str, TrainedModel), optional
-        What it is conditioned on ("joint", "axis", "box", …), and the model. By default :func:`find_model`.
+    model : Model, optional
+        It draws with its own sampling. By default :func:`find_model`.
     profile : str, optional
         Take the weights of this profile only.
     data : xarray.Dataset, optional
-        Simulated structures, which say what can be reached. By default those of the source the model was trained on.
+        Simulated structures, which say what can be reached. By default that of the model (:mod:`.models.reach`).
     constraints : Constraints, optional
     tolerance : float
         Largest relative error of every target.
@@ -185,8 +183,6 @@ def design(
     refine : int
         Inflations that may be spent on bringing each near miss nearer, pixel by pixel, see
         :func:`inflate_lib.inverse.refine.refine`; 0 for none.
-    sampling : Mapping, optional
-        Options of :func:`inflate_lib.diffusion.generate`.
     n_jobs : int
         Threads that inflate.
     say : callable, optional
@@ -203,17 +199,16 @@ def design(
     ValueError
         For targets that contradict each other or the constraints or are out of reach, and arguments out of range.
     """
-    targets, constraints, sampling = as_targets(targets), constraints or Constraints(), dict(sampling or SAMPLING)
+    targets, constraints = as_targets(targets), constraints or Constraints()
     _check(n, tolerance, prefer, seed, seconds, max_candidates, refine)
     _check_symmetric(targets, constraints, tolerance)
-    name, model = model or find_model(targets, profile)
-    _check_model(name, model, targets)
-    if data is None:
-        data = simulated_sevens(model.metadata.get("source", "auto"))
-    check_reach(targets.vectors, data)
-    found = Designs([], [], targets, constraints, tolerance, n, prefer, seed, _about(name, model), sampling)
-    wanted, best, seen, clock = targets.vector(name), [], set(), Counter()
-    aim = np.clip(wanted, model.condition_min, model.condition_max)
+    model = model or find_model(targets, profile)
+    _check_model(model, targets)
+    check_reach(targets.vectors, model.reach if data is None else data)
+    about, sampling = _about(model), dict(model.sampling)
+    found = Designs([], [], targets, constraints, tolerance, n, prefer, seed, about, sampling)
+    wanted, best, seen, clock = targets.vector(model.name), [], set(), Counter()
+    aim = np.clip(wanted, model.trained.condition_min, model.trained.condition_max)
     enough = n * SURPLUS * (2 if prefer else 1)
     started, longest = time.monotonic(), 0.0
     while not found.stopped:
@@ -221,12 +216,12 @@ def design(
         size = min(BATCH, max_candidates - found.tried)
         batch = {"seed": int(np.random.SeedSequence([seed, found.tried]).generate_state(1)[0])}
         batch |= {"first": found.tried, "size": size, "conditions": aim.tolist()}
-        images = generate(model, np.tile(aim, (size, 1)), seed=batch["seed"], **sampling)
+        images = generate(model.trained, np.tile(aim, (size, 1)), seed=batch["seed"], **sampling)
         drawn = time.monotonic()
         new = _verified(images, batch, found, seen, n_jobs)
         found.tried += size
         if new:
-            aim = corrected(aim, wanted, [one.shape.vector(name) for one in new], model)
+            aim = corrected(aim, wanted, [one.shape.vector(model.name) for one in new], model.trained)
         new = _refined(new, found, seen, refine, n_jobs)
         now = time.monotonic()
         clock += Counter(generating=drawn - begun, inflating=now - drawn)
@@ -249,7 +244,7 @@ def design(
 
 
 def find_model(targets, profile=None):
-    """Name and model to design with.
+    """The model to design with.
 
     That is the model of a single descriptor, or of the box, that takes most of what is asked: the rest hangs together
     with it, and choice and refinement see to what does not. The joint model is for what no other takes, a stress or a
@@ -268,14 +263,14 @@ def find_model(targets, profile=None):
     fitting += [JOINT] if asked & set(PARTS) else []
     for folder in (profile,) if profile else WEIGHTS:
         for name in fitting:
-            if (path := paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
-                return name, TrainedModel.load(path)
+            if (paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
+                return load_model(name, folder)
     if fitting == [JOINT]:
         raise _no_joint_model(targets)
     single = singles[0]
-    given = load_profile(profile or WEIGHTS[-1]).parameters(paths.NOTEBOOKS / "08_training.md")
-    data = simulated_sevens(given["source"], given["n_structures"] or None)
-    return single, trained_models([single], given["training"], data, given["n_augmented"], given["seed"])[single]
+    recipe = load_recipe(profile or WEIGHTS[-1])
+    data = simulated_sevens(recipe.source, recipe.n_structures)
+    return trained_models([single], recipe, data)[single]
 
 
 def models_in_order():
@@ -381,10 +376,11 @@ def _aligned(label):
     return np.roll(label, (FRAME - 1 - columns[0] - columns[-1]) // 2, axis=1)
 
 
-def _about(name, model):
-    weights = [value.cpu().numpy() for _, value in sorted(model.net.state_dict().items())]
-    about = {"descriptor": name, "weights": fingerprint(*weights, model.condition_min, model.condition_max)}
-    return about | {key: model.metadata[key] for key in ("profile", "source", "pairs") if key in model.metadata}
+def _about(model):
+    trained = model.trained
+    weights = [value.cpu().numpy() for _, value in sorted(trained.net.state_dict().items())]
+    about = {"descriptor": model.name, "weights": fingerprint(*weights, trained.condition_min, trained.condition_max)}
+    return about | {key: trained.metadata[key] for key in ("profile", "source", "pairs") if key in trained.metadata}
 
 
 def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
@@ -397,14 +393,15 @@ def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
         choice("prefer", prefer, PREFERENCES)
 
 
-def _check_model(name, model, targets):
+def _check_model(model, targets):
     """Whether a model can be told the targets."""
+    name, parts = model.name, model.trained.config.parts
     if name != JOINT and set(PHYSICAL) & set(targets.asked):
         raise _no_joint_model(targets)
     lengths = tuple(get_descriptor(part).length for part in PARTS)
-    if name == JOINT and model.config.parts != lengths:
+    if name == JOINT and parts != lengths:
         raise ValueError(
-            f"the joint model was trained for parts of lengths {model.config.parts}, and {', '.join(PARTS)} have "
+            f"the joint model was trained for parts of lengths {parts}, and {', '.join(PARTS)} have "
             f"{lengths}: train it again (inflate train --descriptor joint)"
         )
 

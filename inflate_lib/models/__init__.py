@@ -8,16 +8,18 @@ RETRAIN = "INFLATE_RETRAIN"  # set by --retrain: models are trained, though data
 
 if TYPE_CHECKING:
     from inflate_lib.models.calibration import Calibration
-    from inflate_lib.models.train import train_models, training_config
+    from inflate_lib.models.recipe import Recipe, load_recipe
+    from inflate_lib.models.train import train_models
     from inflate_lib.models.weights import Model, committed_weights, load_model, trained_models
 
 __all__ = [
     "Calibration",
     "Model",
+    "Recipe",
     "committed_weights",
     "load_model",
+    "load_recipe",
     "train_models",
     "trained_models",
-    "training_config",
 ]
 __getattr__, __dir__ = attach(__name__, __file__)

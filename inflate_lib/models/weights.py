@@ -3,21 +3,21 @@
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from inflate_lib import paths
 from inflate_lib._checks import whole_number
-from inflate_lib.datasets.pairs import _about, _mean
+from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import columns, get_descriptor, joint_conditions, name_of
 from inflate_lib.diffusion import TrainedModel, generate
-from inflate_lib.models import RETRAIN
+from inflate_lib.models import RETRAIN, reach
 from inflate_lib.models.calibration import Calibration
-from inflate_lib.models.reach import check_reach, load_reach
-from inflate_lib.models.train import train_models, training_config
-from inflate_lib.structures import augmentation
+from inflate_lib.models.recipe import Recipe
+from inflate_lib.models.train import train_models, training_set
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Model:
         m = len(next(iter(wanted.values())))
         for row in range(m if self.reach is not None else 0):
             try:
-                check_reach({name: values[row] for name, values in wanted.items()}, self.reach)
+                reach.check_reach({name: values[row] for name, values in wanted.items()}, self.reach)
             except ValueError as error:
                 raise ValueError(f"target {row}: {error}" if m > 1 else str(error)) from None
         told = self.told(name_of(wanted), np.column_stack(list(wanted.values())))
@@ -93,6 +93,10 @@ class Model:
         calibration = self.calibrations.get(descriptor)
         told = targets if calibration is None else calibration.told(targets)
         return joint_conditions(descriptor, told) if self.trained.config.parts else told
+
+    def sampled(self, **changes: Any) -> "Model":
+        """The same model with other options of sampling, for which it is not calibrated."""
+        return replace(self, sampling={**self.sampling, **changes}, calibrations={})
 
     def _vectors(self, targets):
         """Targets as vectors (m, N), by their names, in the order in which the model takes them."""
@@ -171,16 +175,20 @@ def load_model(name: str, profile: str = "laptop") -> Model:
     if name not in there:
         raise ValueError(f"no model {name!r} of the profile {profile!r}; there are: {', '.join(there)}")
     trained = TrainedModel.load(there[name])
+    if (folder / reach.FILE).is_file():
+        table = reach.load_reach(folder)
+    else:  # nobody measured these weights yet
+        table = reach.reach_of(simulated_sevens(trained.metadata.get("source", "auto")))
     stored = trained.metadata.get("calibration", {})
     calibrations = {asked: Calibration.from_dict(values) for asked, values in stored.items()}
-    return Model(name, trained, trained.metadata.get("sampling", {}), calibrations, load_reach(folder))
+    return Model(name, trained, trained.metadata.get("sampling", {}), calibrations, table)
 
 
-def committed_weights(descriptor, training, data, n_augmented=augmentation.PAPER_SAMPLES, seed=0):
-    """Find weights in ``data/pretrained`` that were trained as asked, on these very data.
+def committed_weights(descriptor: str, recipe: Recipe, data) -> tuple[Path | None, str]:
+    """Find weights in ``data/pretrained`` that were trained as a recipe says, on these very data.
 
     The images must be the same to the last bit; the descriptors, whose last digits depend on the processor, must agree
-    in their mean to six digits. Parameters are those of :func:`trained_model_file`.
+    in their mean to six digits. Parameters are those of :func:`inflate_lib.models.train.trained_model_file`.
 
     Returns
     -------
@@ -194,33 +202,32 @@ def committed_weights(descriptor, training, data, n_augmented=augmentation.PAPER
     ValueError
         A file there is damaged, or not one of this library.
     """
-    recipe = training_config(descriptor, training, seed).recipe()
-    about, mean, why_not = _about(descriptor, data, n_augmented), _mean(descriptor, data), ""
+    wanted, pairs, why_not = recipe.config(descriptor).recipe(), training_set(descriptor, recipe, data), ""
     for path in sorted(paths.PRETRAINED.glob(f"*/{descriptor}.safetensors")):
         model = TrainedModel.load(path)
-        if model.config.recipe() != recipe:
+        if model.config.recipe() != wanted:
             continue
-        differs = [name for name, value in about.items() if model.metadata.get(name) != value]
-        if not differs and np.allclose(model.metadata["mean"], mean, rtol=1e-6, atol=1e-9):
+        differs = [name for name, value in pairs.about.items() if model.metadata.get(name) != value]
+        if not differs and np.allclose(model.metadata["mean"], pairs.mean, rtol=1e-6, atol=1e-9):
             return path, ""
         why_not = f"{_name(path)} is of another {', '.join(differs) or 'simulation'}"
     return None, why_not
 
 
-def trained_models(names: Sequence[str], training, data, n_augmented=augmentation.PAPER_SAMPLES, seed=0):
+def trained_models(names: Sequence[str], recipe: Recipe, data) -> dict[str, Model]:
     """The models of several descriptors: committed weights where there are any, else trained, or found in the cache.
 
     A line of text says which. With the environment variable ``INFLATE_RETRAIN`` (``inflate reproduce --retrain``)
-    committed weights are not considered. Parameters are those of :func:`trained_model_file`.
+    committed weights are not considered. Parameters are those of :func:`inflate_lib.models.train.train_models`.
 
     Returns
     -------
     dict
-        Name of the descriptor → :class:`inflate_lib.diffusion.TrainedModel`.
+        Name of the descriptor → :class:`Model`, which draws as the recipe says and is not calibrated.
     """
     found = {}
     for name in names if RETRAIN not in os.environ else ():
-        path, why_not = committed_weights(name, training, data, n_augmented, seed)
+        path, why_not = committed_weights(name, recipe, data)
         if path is not None:
             found[name] = path
         elif why_not:
@@ -229,8 +236,9 @@ def trained_models(names: Sequence[str], training, data, n_augmented=augmentatio
         print(f"weights from {_name(folder)}: {', '.join(name for name in found if found[name].parent == folder)}")
     if missing := [name for name in names if name not in found]:
         print(f"trained for this run: {', '.join(missing)}")
-        found |= train_models(missing, training, data, n_augmented, seed)
-    return {name: TrainedModel.load(found[name]) for name in names}
+        found |= {name: path for name, path in train_models(missing, recipe, data).items() if path is not None}
+    table = reach.reach_of(data)
+    return {name: Model(name, TrainedModel.load(found[name]), recipe.sampling, {}, table) for name in names}
 
 
 def _name(path):

@@ -23,6 +23,7 @@ from inflate_lib.diffusion._loop import fit
 from inflate_lib.diffusion._random import initialised
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.experiments.run import check_targets, held_out_targets, run_experiment
+from inflate_lib.models.weights import Model
 from inflate_lib.structures.labels import label_image
 from inflate_lib.structures.sources import load_sevens
 
@@ -66,7 +67,7 @@ def test_targets_outside_the_training_range_are_refused_with_the_range(model):
     with pytest.raises(ValueError, match=r"1 of 3 targets for height.*target 1 asks for h = 1\.9.*from 1 to 1\.5 were"):
         check_targets(model, "height", [1.2, 1.9, 1.5])
     with pytest.raises(ValueError, match="extrapolate=True"):
-        run_experiment(model, "height", [0.5], 1)
+        run_experiment(Model("height", model), [0.5], 1)
     with pytest.raises(ValueError, match="asks for h = nan"):
         check_targets(model, "height", [np.nan])
     with pytest.raises(ValueError, match=r"must have shape \(k, 2\), not \(3,\)"):
@@ -76,10 +77,10 @@ def test_targets_outside_the_training_range_are_refused_with_the_range(model):
 
 def test_and_generated_on_request_with_one_warning(model, tmp_path, monkeypatch):
     monkeypatch.setattr(paths, "CACHE", tmp_path)
-    sampling = {"sampler": "ddim", "steps": 2}
+    model = Model("height", model, {"sampler": "ddim", "steps": 2})
     for _ in range(2):  # from the cache as well
         with pytest.warns(UserWarning, match="lie outside the training data") as caught:
-            found = run_experiment(model, "height", [1.9], 2, sampling, extrapolate=True)
+            found = run_experiment(model, [1.9], 2, extrapolate=True)
         assert len(caught) == 1
     assert found.sizes["structure"] == 2 and not found["valid"].any()
 
@@ -106,7 +107,11 @@ def test_held_out_targets_belong_to_structures_that_no_model_has_seen(data, mode
     targets, rows = held_out_targets(data, "height")
     assert set(rows) == {9, 19, 29, 39, 49, 59} and not set(rows) & set(training_rows(data))
     np.testing.assert_array_equal(targets, descriptor_matrix(data, "height")[rows])
-    assert set(held_out_targets(data, "height", model)[1]) == {9, 19, 29}  # the others are taller than 1.5
+    assert set(held_out_targets(data, "height", Model("height", model))[1]) == {
+        9,
+        19,
+        29,
+    }  # the others are taller than 1.5
     assert len(held_out_targets(data, "height", n=2)[1]) == 2
     assert 4 not in training_rows(data)  # did not converge
 

@@ -13,6 +13,7 @@ from inflate_lib import paths
 from inflate_lib.alternatives.steering import correction, soft_label, steer
 from inflate_lib.alternatives.surrogate import Surrogate, centred
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
+from inflate_lib.models.weights import Model
 from inflate_lib.plotting.evaluation import plot_controls
 from inflate_lib.structures.labels import FRAME, label_image
 from inflate_lib.structures.sources import load_sevens
@@ -40,7 +41,7 @@ def model(request):
     net = config.make_net(1).eval()
     for parameter in net.parameters():  # the last layer of an untrained network is zero
         parameter.data += 0.05 * torch.randn(parameter.shape)
-    return TrainedModel(net, config, np.array([1.0]), np.array([1.5]))
+    return Model("height", TrainedModel(net, config, np.array([1.0]), np.array([1.5])), {"sampler": "ddim"})
 
 
 def test_soft_labels_of_sharp_drawings_are_their_label_images():
@@ -74,25 +75,24 @@ def test_a_correction_removes_most_of_a_small_error(trained):
 
 def test_no_strength_is_plain_sampling(model, trained):
     told = np.linspace(1.1, 1.4, 5)[:, None]
-    options = {"seed": 3, "steps": 4, "guidance": 2.0}
-    plain = generate(model, told, sampler="ddim", **options)
-    assert np.array_equal(steer(model, "height", told, told, trained, 0.0, **options), plain)
+    model = model.sampled(steps=4, guidance=2.0)
+    plain = generate(model.trained, told, 3, **model.sampling)
+    assert np.array_equal(steer(model, told, told, trained, 0.0, 3), plain)
 
 
 def test_steered_structures_come_nearer_to_what_the_surrogate_is_asked_for(model, trained):
-    told = np.full((6, 1), 1.2)
-    options = {"seed": 1, "steps": 6}
+    told, model = np.full((6, 1), 1.2), model.sampled(steps=6)
 
     def brightness(images):
         return trained.net(soft_label(torch.from_numpy(images)))[:, 0].numpy()
 
-    plain = brightness(steer(model, "height", told, told, trained, 0.0, **options))
+    plain = brightness(steer(model, told, told, trained, 0.0, 1))
     wanted = (plain + 0.05)[:, None]
-    steered = steer(model, "height", told, wanted, trained, 1.0, **options)
+    steered = steer(model, told, wanted, trained, 1.0, 1)
     assert steered.shape == (6, FRAME, FRAME) and 0 <= steered.min() <= steered.max() <= 1
     missed = np.abs(brightness(steered) - wanted[:, 0])
     assert np.median(missed) < 0.5 * 0.05
-    again = steer(model, "height", told[2:4], wanted[2:4], trained, 1.0, start=2, **options)
+    again = steer(model, told[2:4], wanted[2:4], trained, 1.0, 1, start=2)
     assert np.allclose(again, steered[2:4], atol=1e-5)
 
 

@@ -56,8 +56,12 @@ def executed(tmp_path_factory):
     """Run all notebooks, two at a time; the folder with the executed ones."""
     home = tmp_path_factory.mktemp("home")
     (home / "data").mkdir()
-    for folder in ("notebooks", "data/reference", "inflate_lib"):
+    for folder in ("data/reference", "inflate_lib"):
         (home / folder).symlink_to(paths.ROOT / folder)
+    (home / "notebooks").mkdir()
+    (home / "notebooks" / "profiles").symlink_to(Path(__file__).parent / "profiles")
+    for source in find_notebooks():
+        (home / "notebooks" / source.name).symlink_to(source)
     profile = load_profile("test", Path(__file__).parent / "profiles")
     check_profile(profile, find_notebooks())
     environment = {

@@ -1,5 +1,6 @@
 """Profiles: every mistake in one is found before anything runs, and named."""
 
+import json
 import math
 
 import pytest
@@ -8,11 +9,13 @@ import yaml
 from inflate_lib import paths
 from inflate_lib.book.profiles import ProfileError, check_profile, declared_parameters, load_profile
 from inflate_lib.book.run import find_notebooks
-from inflate_lib.descriptors import DESCRIPTORS
+from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
 from inflate_lib.diffusion import TrainingConfig
-from inflate_lib.models.train import training_config
+from inflate_lib.models.recipe import load_recipe
 
 CELL = "# T\n\n```{{code-cell}} ipython3\n:tags: [parameters]\n\n{}\n```\n"
+RECIPE = {"source": "digits", "seed": 0, "n_structures": None, "n_augmented": 50, "n_calibration": 0}
+RECIPE |= {"training": {"steps": 4}, "sampling": {"sampler": "ddim", "steps": 2}}
 DEFAULTS = """\
 profile = "interactive"  # set by the runner
 seed = 0  # random numbers
@@ -32,7 +35,7 @@ def notebooks(tmp_path):
 
 
 def profile(folder, text, name="test"):
-    (folder / f"{name}.yml").write_text(f"name: {name}\n{text}")
+    (folder / f"{name}.yml").write_text(f"name: {name}\nrecipe: {json.dumps(RECIPE)}\n{text}")
     return load_profile(name, folder)
 
 
@@ -101,7 +104,7 @@ def test_a_file_that_is_no_text_is_named(tmp_path):
 
 
 def test_name_and_file_must_agree_and_exist(tmp_path):
-    (tmp_path / "ci.yml").write_text("name: laptop")
+    (tmp_path / "ci.yml").write_text(f"name: laptop\nrecipe: {json.dumps(RECIPE)}")
     with pytest.raises(ProfileError, match="calls itself 'laptop'"):
         load_profile("ci", tmp_path)
     with pytest.raises(ProfileError, match=r"no profile 'fast'.*there are: ci"):
@@ -137,21 +140,23 @@ def test_the_profiles_of_this_repository_fit_its_notebooks(name):
 def test_notebook_defaults_are_the_ci_profile(path):
     declared = declared_parameters(path)
     assert declared.pop("profile") == "interactive"
-    assert {"source", "seed"} <= set(declared)
+    assert declared.pop("source") is None and declared.pop("seed", None) is None  # as the recipe says
     used = load_profile("ci").parameters(path)
     assert used.pop("profile") == "ci"
-    assert used == declared
+    assert used == declared | {name: None for name in ("source", "seed") if name in used}
 
 
 def test_the_paper_profile_is_what_the_paper_prints():
     entries = yaml.safe_load((paths.REFERENCE / "paper.yml").read_text(encoding="utf-8"))
     printed = {name: entry["value"] for name, entry in entries.items()}
-    common = load_profile("paper").common
-    n, sampling = common["n_augmented"], common["sampling"]
-    assert n == printed["augmented_samples"] and printed["descriptor_dimension"] == DESCRIPTORS
-    assert (sampling["sampler"], sampling["guidance"], common["n_calibration"]) == ("ancestral", printed["guidance"], 0)
+    recipe = load_recipe("paper")
+    n, sampling = recipe.n_augmented, recipe.sampling
+    assert n == printed["augmented_samples"] and printed["descriptor_dimension"] == {
+        name: get_descriptor(name).length for name in DESCRIPTORS
+    }
+    assert (sampling["sampler"], sampling["guidance"], recipe.n_calibration) == ("ancestral", printed["guidance"], 0)
     per_epoch = math.ceil(n / printed["batch_size"])
-    for config in (training_config("height", common["training"]), TrainingConfig(epochs=150)):  # and the defaults
+    for config in (recipe.config("height"), TrainingConfig(epochs=150)):  # and the defaults
         assert config.T == sampling["steps"] == printed["diffusion_steps"]
         assert [1, *config.channels] == printed["channels"] and config.embedding == printed["embedding_dimension"]
         net = config.make_net(1)

@@ -20,7 +20,7 @@ from inflate_lib.book import build
 from inflate_lib.book import run as reproduce
 from inflate_lib.book._execution import NotebookFailed
 from inflate_lib.book.build import build_book, check_book
-from inflate_lib.book.page import recorded
+from inflate_lib.book.page import SOURCES, recorded
 from inflate_lib.book.profiles import ProfileError
 from inflate_lib.book.run import RunError, Stale, plan
 from inflate_lib.cli import app
@@ -47,6 +47,10 @@ profile = "interactive"  # set by the runner
 steps = 10  # load steps
 ```
 """
+RECIPE = (
+    "recipe: {source: digits, seed: 0, n_structures: null, n_augmented: 50, n_calibration: 0, training: {steps: 4}, "
+    "sampling: {sampler: ddim, steps: 2}}\n"
+)
 CELL = "\n```{code-cell} ipython3\n%s\n```\n"
 PUBLISHING = """\
 import matplotlib.pyplot as plt
@@ -76,8 +80,8 @@ def make_home(folder, files=("01_first", "02_second")):
     chapters = [{"file": f"notebooks/{name}"} for name in files]
     contents = {"format": "jb-book", "root": "index", "parts": [{"caption": "All", "chapters": chapters}]}
     (folder / "book" / "_toc.yml").write_text(json.dumps(contents))
-    (folder / "notebooks" / "profiles" / "ci.yml").write_text("name: ci\n")
-    (folder / "notebooks" / "profiles" / "laptop.yml").write_text("name: laptop\ncommon: {steps: 20}\n")
+    (folder / "notebooks" / "profiles" / "ci.yml").write_text(f"name: ci\n{RECIPE}")
+    (folder / "notebooks" / "profiles" / "laptop.yml").write_text(f"name: laptop\n{RECIPE}common: {{steps: 20}}\n")
     return folder
 
 
@@ -160,7 +164,7 @@ def test_progress_of_a_step_is_not_kept_whether_it_ran_or_was_in_the_cache(done)
         notebook = nbformat.read(done / "book" / "notebooks" / f"{name}.ipynb", as_version=4)
         outputs = [out for cell in notebook.cells for out in cell.get("outputs", []) if out.output_type == "stream"]
         texts.append("".join(out.text for out in outputs))
-    assert texts[0] == texts[1] == "Profile: ci\nkept\nalso kept\n"
+    assert texts[0] == texts[1] == f"Profile: ci · data source: {SOURCES['digits']}\nkept\nalso kept\n"
 
 
 def test_nothing_runs_again_while_nothing_changes(done):
@@ -182,7 +186,9 @@ def test_a_book_is_refused_for_every_kind_of_staleness(done, monkeypatch):
     source = done / "notebooks" / "02_second.md"
     source.write_text(source.read_text() + "\nOne more word.\n")
     assert stale()[1] == Stale.CHANGED.format("notebook")
-    (done / "notebooks" / "profiles" / "ci.yml").write_text("name: ci\nnotebooks: {02_second: {steps: 11}}\n")
+    (done / "notebooks" / "profiles" / "ci.yml").write_text(
+        f"name: ci\n{RECIPE}notebooks: {{02_second: {{steps: 11}}}}\n"
+    )
     assert stale()[1] == Stale.CHANGED.format("notebook, parameters")
     monkeypatch.setattr(reproduce, "step_version", lambda step: "other")
     assert stale()[1] == Stale.CHANGED.format("notebook, parameters, library")
@@ -277,7 +283,7 @@ def test_a_dying_kernel_is_told_from_a_raising_cell(home):
     ],
 )
 def test_mistakes_are_found_before_anything_is_touched(home, monkeypatch, profile, only, message):
-    (home / "notebooks" / "profiles" / "ci.yml").write_text(f"name: ci\n{profile}\n")
+    (home / "notebooks" / "profiles" / "ci.yml").write_text(f"name: ci\n{RECIPE}{profile}\n")
     old = home / "book" / "notebooks" / "01_first.ipynb"
     old.parent.mkdir()
     old.write_text("the old version")
@@ -299,8 +305,8 @@ def test_missing_data_are_found_before_anything_runs(home, monkeypatch):
 
 
 def test_other_data_are_used_only_where_they_are_asked_for(home, monkeypatch):
-    add(home, "01_first", "x = 1", head=HEADER.replace("steps = 10", 'source = "auto"  # data\nsteps = 10'))
-    add(home, "02_second", "x = 2")
+    for number, name in enumerate(("01_first", "02_second")):
+        add(home, name, f"x = {number}", head=HEADER.replace("steps = 10", 'source = "auto"  # data\nsteps = 10'))
     for name in sources.FILES["train"]:  # to see whether MNIST can be had, nobody reads it
         (home / name).write_text("")
     monkeypatch.setenv("INFLATE_MNIST_DIR", str(home))

@@ -6,7 +6,7 @@ import pytest
 
 from inflate_lib import describe, design, inflate, label_image, load_sevens, simulate_dataset
 from inflate_lib.datasets import simulate
-from inflate_lib.datasets.pairs import training_pairs
+from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.descriptors import (
     DESCRIPTORS,
     PHYSICAL,
@@ -20,12 +20,11 @@ from inflate_lib.descriptors import (
     register,
     registry,
 )
-from inflate_lib.diffusion import train
+from inflate_lib.diffusion import TrainingConfig, train
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.experiments.run import judge, run_experiment
 from inflate_lib.experiments.tables import accuracy, score, scores
 from inflate_lib.inverse import search
-from inflate_lib.models.train import training_config
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.designs import plot_designs
 from inflate_lib.plotting.results import plot_generated
@@ -83,21 +82,22 @@ def test_it_is_simulated_and_stored_like_the_others(data, monkeypatch):
 
 
 def test_a_flip_does_to_it_what_it_says(data):
-    images, lean_of = training_pairs(data, "lean", 150)
+    images, lean_of = TrainingSet(data, "lean", 150).pairs
     again = simulate_dataset(images[-30:], n_jobs=1, n_steps=2, progress_text=False)
     assert (lean_of[-30:, 0] < 0).any() and (lean_of[-30:, 0] > 0).any()
     np.testing.assert_allclose(descriptor_matrix(again, "lean"), lean_of[-30:], atol=1e-6)
 
 
 def test_it_goes_from_training_to_a_drawing(data, monkeypatch):
-    pairs = training_pairs(data, "slenderness", 100)
-    model = train(*pairs, training_config("slenderness", TRAINING), progress=False)
-    assert pairs[1].shape[1:] == (1,) and model.condition_max[0] == pytest.approx(pairs[1].max())
+    pairs = TrainingSet(data, "slenderness", 100).pairs
+    trained = train(*pairs, TrainingConfig.from_dict(TRAINING), progress=False)
+    model = Model("slenderness", trained, FAST, reach=data)
+    assert pairs[1].shape[1:] == (1,) and trained.condition_max[0] == pytest.approx(pairs[1].max())
     targets = np.quantile(pairs[1], [0.2, 0.5])[:, None]
-    drawn = run_experiment(model, "slenderness", targets, 2, FAST, n_jobs=1)
+    drawn = run_experiment(model, targets, 2, n_jobs=1)
     assert drawn.sizes["structure"] == 4 and "slenderness" in drawn
     with pytest.raises(ValueError, match=r"target 0 asks for r = 9"):
-        run_experiment(model, "slenderness", [[9.0]], 2, FAST)
+        run_experiment(model, [[9.0]], 2)
 
     known = judge(DIGITS[:8], "slenderness", targets, np.repeat([0, 1], 4), n_jobs=1)
     valid, reached = known["valid"].values, known["slenderness"].values
@@ -110,10 +110,10 @@ def test_it_goes_from_training_to_a_drawing(data, monkeypatch):
     assert len(fig.findobj(lambda artist: artist.get_gid() == "slenderness")) == 4
     assert any("$r$" in text.get_text() for text in fig.findobj(plt.Text))
 
-    assert Model("slenderness", model, FAST, {}, data).draw({"slenderness": targets[0, 0]}, 2).shape == (2, 28, 28)
+    assert model.draw({"slenderness": targets[0, 0]}, 2).shape == (2, 28, 28)
     monkeypatch.setattr(search, "generate", lambda *_, **__: DIGITS[:40].astype(np.float32) / 255)
     found = design(
-        {"slenderness": reached[2], "width": float(known["width"][2])}, 2, model=("slenderness", model), data=known,
+        {"slenderness": reached[2], "width": float(known["width"][2])}, 2, model=model, data=known,
         max_candidates=40, refine=2, n_jobs=1, say=None,
     )  # fmt: skip
     assert found.designs[0].error < 1e-9 and set(found.designs[0].deviations) == {"slenderness", "width"}
@@ -124,10 +124,10 @@ def test_it_goes_from_training_to_a_drawing(data, monkeypatch):
     assert np.ptp(lines[0].get_ydata()) == pytest.approx(reached[2] * np.ptp(found.designs[0].result.deformed()[:, 0]))
     plt.close("all")
     with pytest.raises(ValueError, match=r"slenderness 9 is out of reach"):
-        design({"slenderness": 9}, model=("slenderness", model), data=data)
+        design({"slenderness": 9}, model=model, data=data)
     for wrong in ("tall", np.nan, [1.0, 2.0], None):
         with pytest.raises(ValueError, match=r"slenderness must be 1 finite number|nothing is asked for"):
-            design({"slenderness": wrong}, model=("slenderness", model), data=data)
+            design({"slenderness": wrong}, model=model, data=data)
 
 
 def test_results_that_are_kept_know_which_descriptors_they_hold(monkeypatch):

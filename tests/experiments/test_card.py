@@ -5,10 +5,12 @@ import pytest
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.experiments.card import write_card
+from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.train import train_models
 
 TRAINING = {"channels": [4, 8], "embedding": 16, "objective": "v", "steps": 4, "batch_size": 8, "device": "cpu"}
 SAMPLING = {"sampler": "ddim", "steps": 2, "eta": 1.0, "guidance": 1.0}
+RECIPE = Recipe("digits", 0, 60, 60, TRAINING, SAMPLING, 0)
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +20,7 @@ def data():
 
 @pytest.fixture
 def folder(data, tmp_path):
-    for name, path in train_models(["height", "axis"], TRAINING, data, 60).items():
+    for name, path in train_models(["height", "axis"], RECIPE, data).items():
         model = TrainedModel.load(path)
         model.metadata |= {"profile": "tiny"}
         model.save(tmp_path / "tiny" / f"{name}.safetensors", half=True)
@@ -27,7 +29,7 @@ def folder(data, tmp_path):
 
 def test_card_tells_data_recipe_cost_and_accuracy(folder, data):
     before = TrainedModel.load(folder / "height.safetensors")
-    text = write_card(folder, data, SAMPLING, 0, n=4).read_text(encoding="utf-8")
+    text = write_card(folder, data, RECIPE, n=4).read_text(encoding="utf-8")
     model = TrainedModel.load(folder / "height.safetensors")
     assert "profile `tiny`" in text and before.metadata["data"] in text
     assert "the model was told the target itself" in text
@@ -41,9 +43,9 @@ def test_card_tells_data_recipe_cost_and_accuracy(folder, data):
 
 
 def test_a_joint_model_is_measured_on_each_descriptor(data, tmp_path):
-    model = TrainedModel.load(train_models(["joint"], TRAINING, data, 60)["joint"])
+    model = TrainedModel.load(train_models(["joint"], RECIPE, data)["joint"])
     model.save(tmp_path / "joint.safetensors", half=True)
-    text = write_card(tmp_path, data, SAMPLING, 0, n=4).read_text(encoding="utf-8")
+    text = write_card(tmp_path, data, RECIPE, n=4).read_text(encoding="utf-8")
     asked = [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("| joint: ")]
     assert asked == [f"joint: {name}" for name in ("height", "width", "box", "area", "axis", "stress", "stretch")]
     metrics = TrainedModel.load(tmp_path / "joint.safetensors").metadata["metrics"]
@@ -53,6 +55,6 @@ def test_a_joint_model_is_measured_on_each_descriptor(data, tmp_path):
 
 def test_weights_that_are_missing_or_of_other_data_are_refused(folder, data, tmp_path):
     with pytest.raises(ValueError, match="holds no weights"):
-        write_card(tmp_path / "nothing", data, SAMPLING)
+        write_card(tmp_path / "nothing", data, RECIPE)
     with pytest.raises(ValueError, match=r"axis\.safetensors was trained on other data"):
-        write_card(folder, data.isel(structure=slice(0, 50)), SAMPLING)
+        write_card(folder, data.isel(structure=slice(0, 50)), RECIPE)

@@ -4,6 +4,7 @@ import os
 import re
 import sys
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from inflate_lib.inverse.refine import Rejection, attempt, refine, with_flipped
 from inflate_lib.inverse.search import Stop, corrected, diverse, find_model, models_in_order
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.mechanics import stress
+from inflate_lib.models.reach import save_reach
+from inflate_lib.models.weights import Model
 from inflate_lib.plotting.designs import plot_designs
 from inflate_lib.structures.labels import FRAME, PIXEL, VOID, WALL
 from inflate_lib.structures.sources import load_sevens
@@ -36,17 +39,18 @@ def data():
 
 
 @pytest.fixture
-def model(monkeypatch):
+def model(monkeypatch, data):
     """A model that draws the embedded sevens in order, whatever it is told, and keeps what it is told."""
     config = TrainingConfig(channels=(4, 8), embedding=16, steps=1)
     net = config.make_net(1)
-    model = TrainedModel(net.eval(), config, np.array([0.3]), np.array([1.6]), metadata={"source": "digits"})
-    model.told = []
+    trained = TrainedModel(net.eval(), config, np.array([0.3]), np.array([1.6]), metadata={"source": "digits"})
+    trained.told = []
+    model = Model("height", trained, reach=data)
 
     def draw(drawn_by, conditions, seed, **sampling):
-        assert drawn_by is model and 0 <= seed < 2**32
-        start = sum(len(told) for told in model.told)
-        model.told.append(conditions)
+        assert drawn_by is model.trained and 0 <= seed < 2**32
+        start = sum(len(told) for told in trained.told)
+        trained.told.append(conditions)
         return DIGITS[(start + np.arange(len(conditions))) % len(DIGITS)].astype(np.float32) / 255
 
     monkeypatch.setattr(searching, "generate", draw)
@@ -57,7 +61,7 @@ def model(monkeypatch):
 def search(model, data):
     def search(targets, n=3, **options):
         defaults = {"max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1, "refine": 0}
-        return design(targets, n, model=("height", model), data=data, **defaults | options)
+        return design(targets, n, model=model, data=data, **defaults | options)
 
     return search
 
@@ -145,7 +149,7 @@ def test_a_biased_model_is_told_what_makes_it_hit():
 def test_the_next_batch_is_told_the_correction(search, model, data, monkeypatch):
     monkeypatch.setattr(searching, "BATCH", 64)
     found = search({"height": 0.9}, 150, tolerance=1e-3)
-    told = [conditions[0, 0] for conditions in model.told]
+    told = [conditions[0, 0] for conditions in model.trained.told]
     assert told[0] == 0.9 and len(found.designs) == 150 and len(told) == 3
     drawn = data.isel(structure=slice(0, 64))
     answer = float(drawn.height[drawn.contact_step == 0].median())
@@ -212,7 +216,7 @@ def test_near_misses_are_brought_nearer(search, model, data):
     """Refined hits are structures that the search alone does not have; the others are as they were."""
     target = {"height": float(np.median(data.height)), "width": float(np.median(data.width))}
     plain = search(target, 40, tolerance=0.02, max_candidates=64)
-    model.told.clear()  # so that the same are drawn again
+    model.trained.told.clear()  # so that the same are drawn again
     found = search(target, 40, tolerance=0.02, max_candidates=64, refine=40)
     assert found.within == plain.within + found.refined > plain.within and plain.refined == 0
     assert f"{found.refined} of the {found.within} were near misses" in found.summary()
@@ -264,7 +268,7 @@ def test_stress_can_be_chosen_at_equal_height(search, data):
         assert one.shape.peak_stretch == stress.largest_stretch(one.result)[-1].max() > 1
 
 
-def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
+def test_the_model_covers_what_is_asked(data, monkeypatch, tmp_path):
     """Whichever weights are there: the single one that takes most, and the joint one for what no other takes."""
     monkeypatch.setattr(paths, "PRETRAINED", tmp_path)
     everything = {"height": 1.0, "width": 0.9, "area": 0.7, "axis": [(0, 0), (0, 1.0)]}
@@ -277,29 +281,30 @@ def test_the_model_covers_what_is_asked(monkeypatch, tmp_path):
 
     for name in ("height", "width", "area", "box", "axis"):
         weights(name)
+    save_reach(data, tmp_path / "laptop")
     for asked, name in (
         (["height"], "height"), (["width"], "width"), (["height", "width"], "box"), (["width", "area"], "area"),
         (["height", "width", "area"], "box"), (["axis"], "axis"), (list(everything), "axis"),
     ):  # fmt: skip
         targets = Targets(**{key: everything[key] for key in asked})
-        found, model = find_model(targets)
-        assert found == model.metadata["descriptor"] == name
-        assert len(targets.vector(name)) == len(model.condition_min) and np.isfinite(targets.vector(name)).all()
+        model = find_model(targets)
+        assert model.name == model.trained.metadata["descriptor"] == name
+        assert len(targets.vector(name)) == len(model.trained.condition_min) and np.isfinite(targets.vector(name)).all()
     weights("joint")
-    assert find_model(Targets(**everything))[0] == "axis"
-    found, model = find_model(Targets(height=1.0, stress=0.2))
-    assert found == "joint" and len(model.condition_min) == 65
+    assert find_model(Targets(**everything)).name == "axis"
+    model = find_model(Targets(height=1.0, stress=0.2))
+    assert model.name == "joint" and len(model.trained.condition_min) == 65
     (tmp_path / "laptop" / "height.safetensors").unlink()
-    assert find_model(Targets(height=1.0))[0] == "joint"
+    assert find_model(Targets(height=1.0)).name == "joint"
     assert [one.name for one in models_in_order()] == ["axis", "box", "area", "width", "height"]
 
 
 def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
     """The whole way with untrained weights: nothing usable may come out, and then that is what it says."""
     config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS)
-    model = TrainedModel(config.make_net(65).eval(), config, np.full(65, -2.0), np.full(65, 2.0))
-    options = {"sampling": {"sampler": "ddim", "steps": 2}, "max_candidates": 8, "say": None, "data": data}
-    found = design({"height": 0.9}, 2, model=("joint", model), **options)
+    trained = TrainedModel(config.make_net(65).eval(), config, np.full(65, -2.0), np.full(65, 2.0))
+    model = Model("joint", trained, {"sampler": "ddim", "steps": 2}, reach=data)
+    found = design({"height": 0.9}, 2, model=model, max_candidates=8, say=None)
     assert found.tried == 8 and sum(found.rejected.values()) <= 8
     assert len(found.designs) <= 2 and found.summary()
     assert found.table().columns[:3].tolist() == ["design", "within", "error height (%)"]
@@ -308,14 +313,19 @@ def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
 def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, model, monkeypatch):
     monkeypatch.setattr(searching, "BATCH", 16)
     config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS)
-    model.config, model.condition_min, model.condition_max = config, np.full(65, -5.0), np.full(65, 5.0)
+    trained = model.trained
+    trained.config, trained.condition_min, trained.condition_max = config, np.full(65, -5.0), np.full(65, 5.0)
     height, stress = float(np.median(data.height)), float(np.median(data.peak_stress))
     options = {"data": data, "max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1}
-    found = design({"height": height, "stress": stress}, 12, model=("joint", model), tolerance=0.1, **options)
-    told = model.told[0]
+    found = design(
+        {"height": height, "stress": stress}, 12, model=replace(model, name="joint"), tolerance=0.1, **options
+    )
+    told = trained.told[0]
     assert np.array_equal(told[0], Targets(height=height, stress=stress).vector("joint"), equal_nan=True)
     assert np.isnan(told).sum(axis=1).tolist() == [63] * len(told)
-    assert model.told[1][0, 3] != told[0, 3] and np.isnan(model.told[1][:, 4:]).all()  # moved against the median miss
+    assert (
+        trained.told[1][0, 3] != told[0, 3] and np.isnan(trained.told[1][:, 4:]).all()
+    )  # moved against the median miss
     assert found.within >= 1
     for one in found.pool:
         assert abs(one.shape.height / height - 1) <= 0.1 and abs(one.shape.peak_stress / stress - 1) <= 0.1
@@ -333,9 +343,9 @@ def test_stress_without_a_joint_model_is_refused_with_a_way_out(search, monkeypa
 
 def test_a_joint_model_of_other_parts_is_refused(data):
     config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=(1, 1, 1, 60))
-    model = TrainedModel(config.make_net(63).eval(), config, np.zeros(63), np.full(63, 2.0))
+    trained = TrainedModel(config.make_net(63).eval(), config, np.zeros(63), np.full(63, 2.0))
     with pytest.raises(ValueError, match="train it again"):
-        design({"height": 0.9}, 2, model=("joint", model), data=data, say=None)
+        design({"height": 0.9}, 2, model=Model("joint", trained, reach=data), say=None)
 
 
 @pytest.mark.parametrize(
@@ -360,8 +370,7 @@ def test_arguments_out_of_range_are_refused(search, options, message):
 def run(monkeypatch, capsys, tmp_path, model, data):
     """Run the command with that model; returns exit code, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(searching, "find_model", lambda targets, profile=None: ("height", model))
-    monkeypatch.setattr(searching, "simulated_sevens", lambda source: data)
+    monkeypatch.setattr(searching, "find_model", lambda targets, profile=None: model)
 
     def command(*arguments):
         monkeypatch.setattr(sys, "argv", ["inflate", "design", *arguments])
@@ -432,7 +441,7 @@ def test_a_folder_that_is_in_use_is_refused_before_the_search(run, model):
     os.mkdir("out")
     open("out/mine", "w").close()
     code, _, err = run("--height", "0.9", "--out", "out")
-    assert code == 1 and "not empty" in err and not model.told
+    assert code == 1 and "not empty" in err and not model.trained.told
 
 
 def test_an_interrupted_search_says_so_and_writes_nothing(run, tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import venv
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +15,21 @@ import xarray as xr
 import yaml
 
 from inflate_lib import paths
-from inflate_lib.book.profiles import load_profile
-from inflate_lib.datasets.pairs import training_pairs
+from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import held_out
 from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, descriptor_matrix, get_descriptor, joint_conditions
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.training import simple_loss
 from inflate_lib.models import RETRAIN, train, weights
-from inflate_lib.models.train import train_models, training_config, training_cost
+from inflate_lib.models.recipe import Recipe, load_recipe
+from inflate_lib.models.train import train_models, training_cost
 from inflate_lib.models.weights import committed_weights, trained_models
 from inflate_lib.structures.augmentation import apply_variants, augment
 from inflate_lib.structures.sources import load_sevens, resolve_source
+
+TRAINING = {"channels": [4, 8], "embedding": 16, "steps": 4, "batch_size": 8, "learning_rate": 1e-3}
+RECIPE = Recipe("digits", 0, None, 100, TRAINING, {"sampler": "ddim", "steps": 2}, 0)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +61,7 @@ def test_every_tenth_structure_is_held_out():
 
 @pytest.mark.parametrize("n_augmented", [36, 100, 10**6])
 def test_no_variant_of_a_held_out_structure_is_trained_on(data, n_augmented):
-    images, conditions = training_pairs(data, "height", n_augmented)
+    images, conditions = TrainingSet(data, "height", n_augmented).pairs
     seen = set(conditions[:, 0].astype(int))
     assert seen == set(range(40)) - {3, 9, 19, 29, 39}  # 3 did not converge
     assert len(images) == len(conditions) <= n_augmented
@@ -76,8 +80,8 @@ def test_the_joint_descriptor_holds_the_others_side_by_side(data):
         assert asked.sum(1).tolist() == [lengths[name]] * 40
         np.testing.assert_array_equal(told[asked], joint[asked])
     np.testing.assert_array_equal(joint_conditions("joint", joint), joint)
-    conditions = training_pairs(data, "joint", 100)[1]
-    heights, axes = training_pairs(data, "height", 100)[1], training_pairs(data, "axis", 100)[1]
+    conditions = TrainingSet(data, "joint", 100).pairs[1]
+    heights, axes = TrainingSet(data, "height", 100).pairs[1], TrainingSet(data, "axis", 100).pairs[1]
     np.testing.assert_array_equal(conditions[:, [0]], heights)
     np.testing.assert_array_equal(conditions[:, 5:], axes)  # mirrored where the image is
     np.testing.assert_array_equal(conditions[:, 3:5], [0.1, 1.1] + heights / 40)  # peaks are not
@@ -86,13 +90,11 @@ def test_the_joint_descriptor_holds_the_others_side_by_side(data):
 def test_the_split_follows_the_position_in_the_whole_data_set(data):
     """A structure that fails must not move the others into or out of the held-out part."""
     failed = data.assign(converged=("structure", np.arange(40) >= 5))
-    kept = set(training_pairs(failed, "height", 100)[1][:, 0].astype(int))
+    kept = set(TrainingSet(failed, "height", 100).pairs[1][:, 0].astype(int))
     assert kept == set(range(5, 40)) - {9, 19, 29, 39}
 
 
 # --- which weights -------------------------------------------------------------------------------------------------
-
-TRAINING = {"channels": [4, 8], "embedding": 16, "steps": 4, "batch_size": 8, "learning_rate": 1e-3}
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +103,7 @@ def trained(data, tmp_path_factory):
     home = tmp_path_factory.mktemp("home")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paths, "CACHE", home / "cache")
-        file = train_models(["box"], TRAINING, data, 100, log=home / "logs")["box"]
+        file = train_models(["box"], RECIPE, data, log=home / "logs")["box"]
     model = TrainedModel.load(file)
     model.metadata |= {"profile": "small"}
     model.save(home / "data" / "pretrained" / "small" / "box.safetensors", half=True)
@@ -137,25 +139,26 @@ def test_weights_tell_what_they_were_made_from(trained):
 
 
 def test_committed_weights_are_used_where_they_fit(home, data, capsys):
-    models = trained_models(["box"], {**TRAINING, "device": "cpu", "checkpoint_every": 3}, data, 100)
-    assert models["box"].metadata["profile"] == "small"
+    recipe = RECIPE.changed(training={"device": "cpu", "checkpoint_every": 3})
+    models = trained_models(["box"], recipe, data)
+    assert models["box"].trained.metadata["profile"] == "small"
     assert capsys.readouterr().out == "weights from data/pretrained/small: box\n"
 
 
 def test_other_digits_of_the_simulation_are_no_other_data(home, data):
     jittered = data.assign(height=data["height"] * (1 + 1e-9))
-    assert trained_models(["box"], TRAINING, jittered, 100)
+    assert trained_models(["box"], RECIPE, jittered)
 
 
 @pytest.mark.parametrize("what", ["recipe", "seed", "pairs", "images", "simulation", "retrain"])
 def test_and_not_where_they_do_not(home, data, monkeypatch, capsys, what):
-    training, n_augmented, seed = TRAINING, 100, 0
+    recipe = RECIPE
     if what == "recipe":
-        training = {**TRAINING, "learning_rate": 2e-3}
+        recipe = RECIPE.changed(training={"learning_rate": 2e-3})
     elif what == "seed":
-        seed = 1
+        recipe = RECIPE.changed(seed=1)
     elif what == "pairs":
-        n_augmented = 101
+        recipe = RECIPE.changed(n_augmented=101)
     elif what == "images":
         data = data.assign(image=data["image"][::-1])
     elif what == "simulation":
@@ -163,7 +166,7 @@ def test_and_not_where_they_do_not(home, data, monkeypatch, capsys, what):
     else:
         monkeypatch.setenv(RETRAIN, "1")
     with pytest.raises(RuntimeError, match="would train"):
-        trained_models(["box"], training, data, n_augmented, seed)
+        trained_models(["box"], recipe, data)
     reasons = {"pairs": "n_augmented", "images": "data", "simulation": "simulation"}
     text = capsys.readouterr().out
     assert "trained for this run: box" in text
@@ -174,7 +177,7 @@ def test_damaged_weights_are_named(home, data):
     path = home / "data" / "pretrained" / "small" / "box.safetensors"
     path.write_bytes(path.read_bytes()[:-7])
     with pytest.raises(ValueError, match=r"small/box\.safetensors is truncated"):
-        trained_models(["box"], TRAINING, data, 100)
+        trained_models(["box"], RECIPE, data)
 
 
 @pytest.mark.slow
@@ -187,19 +190,17 @@ def test_committed_weights_are_those_of_their_profile_and_still_mean_what_they_m
     if resolve_source() != "mnist":
         pytest.skip("MNIST cannot be had: the committed weights are not checked")
     name, profile = path.stem, path.parent.name
-    given = load_profile(profile).parameters(paths.NOTEBOOKS / "08_training.md")
     data = simulated_sevens("mnist")
-    assert committed_weights(name, given["training"], data, given["n_augmented"], given["seed"]) == (path, "")
+    assert committed_weights(name, load_recipe(profile), data) == (path, "")
     model = TrainedModel.load(path)
     assert model.metadata["descriptor"] == name and model.metadata["profile"] == profile
-    unseen = data.isel(structure=np.flatnonzero(data["converged"].values & held_out(data.sizes["structure"])))
-    loss = simple_loss(model, unseen["image"].values, descriptor_matrix(unseen, name))
+    loss = simple_loss(model, *TrainingSet(data, name).unseen)
     assert loss == pytest.approx(model.metadata["held_out_loss"], rel=5e-3)  # 16 bits
 
 
 def test_a_dry_run_projects_the_whole_training(data, tmp_path, monkeypatch):
     monkeypatch.setattr(paths, "CACHE", tmp_path)
-    cost = training_cost(["height", "area"], {**TRAINING, "steps": 5000}, data, 100, steps=6)
+    cost = training_cost(["height", "area"], RECIPE.changed(training={"steps": 5000}), data, steps=6)
     assert cost["descriptor"].tolist() == ["height", "area"] and (cost["steps"] == 5000).all()
     np.testing.assert_allclose(cost["hours"], cost["seconds per step"] * 5000 / 3600)
     np.testing.assert_allclose(cost["images per second"], 8 / cost["seconds per step"])
@@ -211,9 +212,8 @@ def test_the_command_trains_in_two_processes_as_in_one(tmp_path):
     """`inflate train` alone and under torchrun: the same losses, and what is written is written once."""
     home = tmp_path / "home"
     (home / "notebooks" / "profiles").mkdir(parents=True)
-    (home / "notebooks" / "08_training.md").symlink_to(paths.NOTEBOOKS / "08_training.md")
-    common = {"source": "digits", "n_structures": 20, "n_augmented": 50, "training": TRAINING | {"checkpoint_every": 2}}
-    profile = {"name": "small", "description": "", "common": common, "notebooks": {}}
+    recipe = RECIPE.changed(n_structures=20, n_augmented=50, training={"checkpoint_every": 2})
+    profile = {"name": "small", "description": "", "recipe": asdict(recipe)}
     (home / "notebooks" / "profiles" / "small.yml").write_text(yaml.safe_dump(profile))
     torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     found = {}
@@ -235,11 +235,12 @@ def test_the_command_trains_in_two_processes_as_in_one(tmp_path):
 
 
 def test_a_descriptor_may_have_a_number_of_steps_of_its_own():
-    training = TRAINING | {"steps": 10, "steps_of": {"area": 20}}
-    assert training_config("area", training, 3).steps == 20
-    assert training_config("height", training, 3) == training_config("height", TRAINING | {"steps": 10}, 3)
+    plain = RECIPE.changed(seed=3, training={"steps": 10})
+    recipe = plain.changed(training={"steps_of": {"area": 20}})
+    assert recipe.config("area").steps == 20
+    assert recipe.config("height") == plain.config("height")
     with pytest.raises(ValueError, match="unknown descriptor 'volume'"):
-        training_config("height", training | {"steps_of": {"volume": 20}})
+        plain.changed(training={"steps_of": {"volume": 20}})
 
 
 # --- training elsewhere --------------------------------------------------------------------------------------------
@@ -272,21 +273,22 @@ def elsewhere(tmp_path_factory):
 def test_models_trained_elsewhere_are_the_same_to_the_bit(data, tmp_path, monkeypatch, elsewhere):
     monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
     monkeypatch.setattr(paths, "PRETRAINED", tmp_path / "pretrained")
-    recipe = TRAINING | {"device": "cpu", "checkpoint_every": 2}
+    recipe = RECIPE.changed(training={"device": "cpu", "checkpoint_every": 2})
     file, out = tmp_path / "pairs.safetensors", tmp_path / "pretrained" / "small"
-    train.pack(file, ["box", "axis"], recipe, data, 100, profile="small")
+    train.pack(file, ["box", "axis"], recipe, data, profile="small")
     asked = [file, "--out", out, "--device", "cpu", "--threads", 1]
     ended = elsewhere(*asked)
     assert ended.returncode == 0, ended.stderr
     for name in ("box", "axis"):
-        assert committed_weights(name, recipe, data, 100) == (out / f"{name}.safetensors", "")
+        assert committed_weights(name, recipe, data) == (out / f"{name}.safetensors", "")
         theirs = TrainedModel.load(out / f"{name}.safetensors")
-        ours = TrainedModel.load(train.trained_model_file(name, recipe, data, 100, threads=1))
+        ours = TrainedModel.load(train.trained_model_file(name, recipe, data, threads=1))
         assert theirs.history == ours.history
         for mine, other in zip(ours.net.parameters(), theirs.net.parameters(), strict=True):
             assert torch.equal(mine.half().float(), other)
         known = [{k: v for k, v in m.metadata.items() if not k.startswith("seconds")} for m in (ours, theirs)]
-        assert known[1] == known[0] | {"profile": "small"} and known[0]["held_out_loss"] > 0
+        told = {"profile": "small", "sampling": RECIPE.sampling}
+        assert known[1] == known[0] | told and known[0]["held_out_loss"] > 0
     again = elsewhere(*asked)  # from the last checkpoints: nothing is trained twice
     assert again.returncode == 0 and "step" not in again.stdout
 
@@ -294,7 +296,7 @@ def test_models_trained_elsewhere_are_the_same_to_the_bit(data, tmp_path, monkey
 @pytest.mark.slow
 def test_a_pack_that_cannot_be_used_is_named_in_one_line(data, tmp_path, elsewhere):
     file = tmp_path / "pairs.safetensors"
-    train.pack(file, ["box"], TRAINING, data, 100)
+    train.pack(file, ["box"], RECIPE, data)
     unknown = elsewhere(file, "--only", "height")
     file.write_bytes(file.read_bytes()[:-7])
     for ended, message in (

@@ -1,0 +1,170 @@
+"""The recipe of a profile: which structures models are trained on, how they are trained, and how they are asked.
+
+It is the section ``recipe`` of ``notebooks/profiles/<name>.yml``::
+
+    recipe:
+      source: auto             # images: mnist, digits, or auto, which is MNIST where it can be had
+      seed: 0
+      n_structures: null       # all of them
+      n_augmented: 6265        # pairs of image and descriptor
+      training: {…}            # options of inflate_lib.diffusion.TrainingConfig
+      sampling: {…}            # options of inflate_lib.diffusion.generate
+      n_calibration: 200       # structures drawn to calibrate a model; 0: none
+
+Whoever needs to know how models are made, a notebook, a command or a test, asks for the recipe by the profile's name.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from inflate_lib import paths
+from inflate_lib._checks import choice, number, whole_number
+from inflate_lib._yaml import read_yaml
+from inflate_lib.descriptors import get_descriptor
+
+if TYPE_CHECKING:
+    from inflate_lib.diffusion import TrainingConfig
+
+INTERACTIVE = "interactive"  # profile of a notebook that was opened by hand
+ITS_RECIPE = "ci"  # the profile whose recipe it has
+#: What is checked of each option of sampling; `generate` itself checks the rest.
+SAMPLING = {
+    "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
+    "steps": partial(whole_number, least=1),
+    "eta": partial(number, least=0, below=1 + 1e-12),
+    "guidance": number,
+}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How models are made and asked.
+
+    Attributes
+    ----------
+    source : {"auto", "mnist", "digits"}
+    seed : int
+        Of the augmentation, the first weights, the training and the noise.
+    n_structures : int, optional
+        Only the first ones; None for all.
+    n_augmented : int
+        Pairs to train on; see :class:`inflate_lib.datasets.pairs.TrainingSet`.
+    training : Mapping
+        Options of :class:`inflate_lib.diffusion.TrainingConfig`; ``steps_of`` gives some descriptors a number of steps
+        of their own: ``{"area": 20000}``. They are checked where they are changed and by :meth:`config`, since that
+        needs PyTorch.
+    sampling : Mapping
+        Options of :func:`inflate_lib.diffusion.generate`: sampler, steps, eta, guidance.
+    n_calibration : int
+        Training structures that are asked for to calibrate a model; 0 for none.
+    """
+
+    source: str
+    seed: int
+    n_structures: int | None
+    n_augmented: int
+    training: Mapping[str, Any]
+    sampling: Mapping[str, Any]
+    n_calibration: int
+
+    def __post_init__(self):
+        choice("source", self.source, ("auto", "mnist", "digits"))
+        for name, least in {"seed": 0, "n_structures": 1, "n_augmented": 1, "n_calibration": 0}.items():
+            if name != "n_structures" or self.n_structures is not None:
+                whole_number(name, getattr(self, name), least)
+        for name in ("training", "sampling"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise ValueError(f"{name} must be a mapping of options, not {getattr(self, name)!r}")
+        if own := [name for name in ("seed", "parts") if name in self.training]:
+            raise ValueError(f"training: {own[0]} follows from the recipe's seed and the descriptor; leave it out")
+        _check_names("sampling", self.sampling, SAMPLING)
+        for name, value in self.sampling.items():
+            SAMPLING[name](f"sampling.{name}", value)
+
+    @classmethod
+    def from_dict(cls, values: Any) -> "Recipe":
+        """A recipe from plain values, every one of which must be there."""
+        if not isinstance(values, Mapping):
+            raise ValueError(f"a recipe must be a mapping, not {values!r}")
+        names = [field.name for field in fields(cls)]
+        _check_names("recipe", values, names)
+        if missing := [name for name in names if name not in values]:
+            raise ValueError(f"recipe: {', '.join(missing)} missing")
+        return cls(**values)
+
+    def changed(self, **changes: Any) -> "Recipe":
+        """The recipe with some values changed; None leaves one as it is.
+
+        Of ``training`` and ``sampling`` only the options that are named are replaced: ``training={"steps": 500}``. A
+        text is read as JSON, which is how ``papermill -p training '{"steps": 500}'`` hands it over.
+
+        Raises
+        ------
+        ValueError
+            There is no such value or option, with those that there are; or it is of another kind.
+        """
+        _check_names("recipe", changes, [field.name for field in fields(self)])
+        changes = {name: value for name, value in changes.items() if value is not None}
+        for name in changes.keys() & {"training", "sampling"}:
+            changes[name] = {**getattr(self, name), **_options(name, changes[name])}
+        recipe = replace(self, **changes)
+        if recipe.training != self.training:
+            recipe.config("height")
+        return recipe
+
+    def config(self, descriptor: str) -> "TrainingConfig":
+        """The training configuration of one descriptor's model."""
+        from inflate_lib.diffusion import TrainingConfig
+
+        options = {**self.training, "seed": self.seed}
+        steps_of = {get_descriptor(name).name: steps for name, steps in (options.pop("steps_of", None) or {}).items()}
+        if descriptor in steps_of:
+            options["steps"] = steps_of[descriptor]
+        one = get_descriptor(descriptor)
+        options["parts"] = [get_descriptor(part).length for part in one.parts] if one.any_part else []
+        return TrainingConfig.from_dict(options)
+
+
+def load_recipe(profile: str = INTERACTIVE, folder: Path | None = None) -> Recipe:
+    """The recipe of a profile, by its name; that of a notebook opened by hand is that of the profile ``ci``.
+
+    Raises
+    ------
+    ValueError
+        There is no such profile, with those that there are; or its recipe is none. The message names the file.
+    """
+    content, path = read_profile(ITS_RECIPE if profile == INTERACTIVE else profile, folder)
+    try:
+        return Recipe.from_dict(content.get("recipe") if isinstance(content, Mapping) else content)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def read_profile(name: str, folder: Path | None = None) -> tuple[Any, Path]:
+    """What ``<name>.yml`` holds, unchecked, and its path."""
+    folder = folder or paths.PROFILES
+    path = folder / f"{name}.yml"
+    if not path.is_file():
+        there = ", ".join(sorted(file.stem for file in folder.glob("*.yml"))) or "none"
+        raise ValueError(f"no profile {name!r} in {folder}; there are: {there}")
+    return read_yaml(path), path
+
+
+def _check_names(where, values, known):
+    if unknown := [name for name in values if name not in known]:
+        raise ValueError(f"{where}: unknown {', '.join(map(str, unknown))}; there are: {', '.join(known)}")
+
+
+def _options(name, change):
+    """Changed options as a mapping."""
+    try:
+        found = json.loads(change) if isinstance(change, str) else change
+    except ValueError:
+        found = None
+    if not isinstance(found, Mapping):
+        raise ValueError(f'{name} must be a mapping of options, such as {{"steps": 500}}, not {change!r}')
+    return found
