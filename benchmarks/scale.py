@@ -38,9 +38,9 @@ def bare_loop(images, n_steps):
 
 def nominal_second(images):
     """Seconds that the inflations take here for each second that a time limit counts for them."""
-    labels = [labels.label_image(image) for image in images]
+    structures = [labels.label_image(image) for image in images]
     start = time.perf_counter()
-    results = [inflation.inflate(label) for label in labels]
+    results = [inflation.inflate(label) for label in structures]
     taken, counted = time.perf_counter() - start, 0.0
     for result in results:
         system = inflation.build_system(result.mesh, result.element, result.lame)
