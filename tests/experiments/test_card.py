@@ -1,12 +1,17 @@
 """The model card states what was measured, and the files carry it."""
 
+import numpy as np
 import pytest
 
+from inflate_lib import load_model, paths
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.diffusion import TrainedModel
-from inflate_lib.experiments.card import write_card
+from inflate_lib.experiments import card
+from inflate_lib.experiments.card import calibrate_weights, write_card
+from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.train import train_models
+from inflate_lib.models.weights import Model
 
 TRAINING = {"channels": [4, 8], "embedding": 16, "objective": "v", "steps": 4, "batch_size": 8, "device": "cpu"}
 SAMPLING = {"sampler": "ddim", "steps": 2, "eta": 1.0, "guidance": 1.0}
@@ -58,3 +63,21 @@ def test_weights_that_are_missing_or_of_other_data_are_refused(folder, data, tmp
         write_card(tmp_path / "nothing", data, RECIPE)
     with pytest.raises(ValueError, match=r"axis\.safetensors was trained on other data"):
         write_card(folder, data.isel(structure=slice(0, 50)), RECIPE)
+
+
+def test_a_model_comes_back_with_what_was_measured_of_it(folder, data, monkeypatch):
+    """The calibrations in the header are those of the fit, and the weights are untouched."""
+    before = (folder / "height.safetensors").read_bytes()
+    fit = Calibration(np.array([0.9]), np.eye(1), np.array([0.02]), np.array([[1.25]]))
+    monkeypatch.setattr(card, "calibrate", lambda *_: fit)  # a network that learned for four steps does not listen
+    (folder / "axis.safetensors").unlink()
+    calibrate_weights(folder, data, RECIPE.changed(n_calibration=4))
+    assert (folder / "height.safetensors").read_bytes() != before
+    monkeypatch.setattr(paths, "PRETRAINED", folder.parent)
+    model = load_model("height", "tiny")
+    assert model.sampling == SAMPLING and model.reach.sizes["structure"] == int(data["converged"].sum())
+    assert model.calibrations["height"].as_dict() == fit.as_dict()
+    height = float(data["height"].median())
+    told = float(fit.told([[height]])[0, 0])
+    bare = Model("height", model.trained, SAMPLING)
+    np.testing.assert_array_equal(model.draw({"height": height}, 2), bare.draw({"height": told}, 2))
