@@ -2,6 +2,8 @@
 
 Retrieval is as exact as the data are dense, but never new."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from sklearn.neighbors import NearestNeighbors
 
@@ -9,14 +11,17 @@ from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.run import as_experiment
 
+if TYPE_CHECKING:
+    import xarray as xr
 
-def random_structures(data, descriptor, targets, seed=0):
+
+def random_structures(data: "xr.Dataset", descriptor: str, targets: np.ndarray, seed: int = 0) -> "xr.Dataset":
     """A real structure for each target, whatever the target, as an experiment (:func:`.as_experiment`)."""
     rows = np.random.default_rng(seed).choice(training_rows(data), len(targets))
     return as_experiment(data.isel(structure=rows), descriptor, np.asarray(targets))
 
 
-def retrieved_structures(data, descriptor, targets):
+def retrieved_structures(data: "xr.Dataset", descriptor: str, targets: np.ndarray) -> "xr.Dataset":
     """The real structure whose descriptor is nearest to each target, as an experiment.
 
     Nearest in units of the standard deviation of each component; of axes, in plain distance.

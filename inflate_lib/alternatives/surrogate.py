@@ -6,6 +6,7 @@ the diffusion models are trained on, and their mirror images, and tested on thos
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -18,6 +19,9 @@ from inflate_lib.diffusion import _storage
 from inflate_lib.diffusion._loop import fit
 from inflate_lib.diffusion._random import initialised
 from inflate_lib.structures.labels import FRAME, label_image
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 CHANNELS, HIDDEN, BATCH = (8, 16, 32), 128, 64
 #: Descriptors that it answers with, one after another.
@@ -68,7 +72,7 @@ class Surrogate:
         return answers[:, columns(descriptor, ANSWERS)]
 
 
-def train_surrogate(data, steps=1500, seed=0, rows=None):
+def train_surrogate(data: "xr.Dataset", steps: int = 1500, seed: int = 0, rows: np.ndarray | None = None) -> Surrogate:
     """Train the surrogate, or find it trained in the cache.
 
     Parameters

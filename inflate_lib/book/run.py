@@ -137,8 +137,8 @@ def reproduce(
 
     Raises
     ------
-    NotebookFailed
-        The first notebook that failed, with its cell and error; running ones are ended.
+    RuntimeError
+        As ``NotebookFailed``: the first notebook that failed, with its cell and error; running ones are ended.
     RunError
         The data source is another one than that of the notebooks executed before, and nobody asked for it.
     """

@@ -1,8 +1,8 @@
 """Descriptors of a deformed structure (paper sec. 3.1, Fig. 3), each defined in one place.
 
 Beside the paper's five (height, width, bounding box, hull area, medial axis) there are two physical ones, which the
-paper leaves to future work (sec. 5): the peak von Mises stress and the largest principal stretch. :func:`register` adds
-others.
+paper leaves to future work (sec. 5): the peak von Mises stress and the largest principal stretch. Others are added by
+:func:`inflate_lib.descriptors.register`.
 """
 
 from inflate_lib.descriptors.errors import POINT_DISTANCE, RELATIVE

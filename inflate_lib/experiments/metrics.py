@@ -3,12 +3,18 @@
 Intervals are percentile bootstrap intervals (Efron & Tibshirani 1993, chapter 13): the same number, computed again and
 again from resamples of the structures, and the range that holds the middle 95 % of the results."""
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 
+if TYPE_CHECKING:
+    import xarray as xr
 
-def errors(experiment, descriptor):
+
+def errors(experiment: "xr.Dataset", descriptor: str) -> np.ndarray:
     """Distance of what was achieved from what was asked for, one number per structure.
 
     Parameters
@@ -31,7 +37,7 @@ def misses(descriptor, achieved, target):
     return get_descriptor(descriptor).error.of(achieved, target)
 
 
-def r_squared(target, achieved):
+def r_squared(target: np.ndarray, achieved: np.ndarray) -> float:
     """Coefficient of determination of achieved (n, N) against target (n, N), components weighted by their variance.
 
     1 − Σ|achieved − target|² / Σ|target − mean target|², over the rows without NaN; NaN where targets do not differ.
@@ -43,7 +49,14 @@ def r_squared(target, achieved):
     return 1 - ((achieved - target) ** 2).sum() / ((target - target.mean(axis=0)) ** 2).sum()
 
 
-def bootstrap(statistic, n, groups=None, seed=0, n_resamples=1000, level=0.95):
+def bootstrap(
+    statistic: Callable,
+    n: int,
+    groups: np.ndarray | None = None,
+    seed: int = 0,
+    n_resamples: int = 1000,
+    level: float = 0.95,
+) -> tuple[np.ndarray, np.ndarray]:
     """Percentile bootstrap interval of a statistic of n structures.
 
     Parameters
@@ -70,5 +83,5 @@ def bootstrap(statistic, n, groups=None, seed=0, n_resamples=1000, level=0.95):
         values.append(statistic(np.concatenate([part[rng.integers(len(part), size=len(part))] for part in parts])))
     values = np.sort(np.asarray(values, dtype=float), axis=0)  # NaN last
     known = np.isfinite(values).all(axis=0)
-    ends = np.quantile(np.where(known, values, 0.0), [(1 - level) / 2, (1 + level) / 2], axis=0)
-    return tuple(np.where(known, end, np.nan) for end in ends)
+    low, high = np.quantile(np.where(known, values, 0.0), [(1 - level) / 2, (1 + level) / 2], axis=0)
+    return np.where(known, low, np.nan), np.where(known, high, np.nan)

@@ -5,13 +5,18 @@ percentile bootstrap intervals (Efron & Tibshirani 1993, chapter 13): the same n
 resamples of the structures, and the range that holds the middle 95 % of the results.
 """
 
+from collections.abc import Iterable
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import bootstrap, errors, r_squared
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 class Failure(StrEnum):
@@ -30,7 +35,14 @@ FAILURES = {"image is blank": Failure.BLANK, "image has no digit": Failure.TOO_S
 FAILURES |= {"structure does not fit": Failure.TOO_LARGE, "no equilibrium": Failure.NO_EQUILIBRIUM}
 
 
-def scores(experiment, descriptor, data, by_target=False, seed=0, n_resamples=1000):
+def scores(
+    experiment: "xr.Dataset",
+    descriptor: str,
+    data: "xr.Dataset",
+    by_target: bool = False,
+    seed: int = 0,
+    n_resamples: int = 1000,
+) -> pd.DataFrame:
     """Everything about the accuracy and validity of an experiment, with intervals.
 
     Parameters
@@ -110,7 +122,7 @@ def score(table, measure):
     return float(table.set_index("measure").loc[measure, "value"])
 
 
-def accuracy(experiment, descriptor):
+def accuracy(experiment: "xr.Dataset", descriptor: str) -> pd.DataFrame:
     """How close the structures of an experiment come to their targets, target by target.
 
     Parameters
@@ -155,7 +167,7 @@ def accuracy(experiment, descriptor):
     return pd.DataFrame([*rows, everything]).reindex(columns=[*rows[0], "R²"])
 
 
-def failure_reasons(experiments):
+def failure_reasons(experiments: "Iterable[xr.Dataset]") -> pd.Series:
     """Why structures are not valid, counted over several experiments.
 
     Returns

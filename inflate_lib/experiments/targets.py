@@ -1,5 +1,6 @@
 """What the experiments ask for: cluster centroids of the scalar descriptors (Table 1, Fig. 6) and three medial axes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ class Clusters:
     labels: np.ndarray
 
 
-def find_clusters(matrix, k=3, seed=0, n_starts=10):
+def find_clusters(matrix: np.ndarray, k: int = 3, seed: int = 0, n_starts: int = 10) -> Clusters:
     """k-means clusters of a descriptor, in its raw units (paper sec. 4.2, Fig. 6).
 
     Parameters
@@ -62,7 +63,7 @@ def paper_targets():
     )
 
 
-def compare_with_paper(centroids):
+def compare_with_paper(centroids: Mapping) -> pd.DataFrame:
     """Table 1 side by side: columns descriptor, level, component, paper, here, deviation_percent (signed).
 
     ``centroids`` maps "height", "width", "box" and "area" to arrays (3, N), sorted from low to high.
@@ -79,7 +80,7 @@ def deviation_from_paper(centroids):
     return float(deviation.mean()), float(deviation.max())
 
 
-def choose_axes(axes, n=3):
+def choose_axes(axes: np.ndarray, n: int = 3) -> np.ndarray:
     """Pick real medial axes that are ordinary but as different from one another as they can be.
 
     The paper picks its three by hand; this is a rule instead, without chance. Two axes differ in *size* (their height,

@@ -5,6 +5,8 @@ been flipped and moved to lie on the other as well as it can. The distance is th
 pixels, on the scale from 0 (black) to 1 (white).
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pandas as pd
 
@@ -13,6 +15,9 @@ from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.structures.augmentation import MAX_SHIFT, apply_variants
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def nearest(images, library, max_shift=MAX_SHIFT, progress_text=""):
@@ -50,7 +55,7 @@ def nearest(images, library, max_shift=MAX_SHIFT, progress_text=""):
     return np.sqrt((apart**2).mean(axis=1)), variant
 
 
-def novelty(images, data, rows):
+def novelty(images: np.ndarray, data: "xr.Dataset", rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance of each image from the nearest of the structures with numbers `rows` in a data set; kept in the cache.
 
     Parameters
@@ -97,7 +102,9 @@ def mean_pairwise(distances, rows=None):
     return distances[np.ix_(rows, rows)][different].mean() if different.any() else np.nan
 
 
-def diversity(experiment, descriptor, data, seed=0, n_resamples=1000):
+def diversity(
+    experiment: "xr.Dataset", descriptor: str, data: "xr.Dataset", seed: int = 0, n_resamples: int = 1000
+) -> pd.DataFrame:
     """How different the structures of each target are, beside as many real ones that come closest to the target.
 
     A model that always draws the same structure has no diversity; one that draws as variously as structures of this
@@ -127,7 +134,7 @@ def diversity(experiment, descriptor, data, seed=0, n_resamples=1000):
         target = experiment["target"].values[experiment["level"].values == level][0]
         order = np.argsort(np.linalg.norm((matrix - target) / scale, axis=1), kind="stable")
         found = {"generated": experiment["image"].values[mine], "data": data["image"].values[real[order[: mine.sum()]]]}
-        row = {"target": int(level) + 1, "n": int(mine.sum())}
+        row: dict[str, float] = {"target": int(level) + 1, "n": int(mine.sum())}
         for name, images in found.items():
             apart = pairwise(images) if len(images) > 1 else np.full((len(images), len(images)), np.nan)
             row[name] = mean_pairwise(apart)

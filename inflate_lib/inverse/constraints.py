@@ -5,6 +5,7 @@ pixels, so that a length counts in whole pixels, rounded up.
 """
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.path import Path
@@ -14,6 +15,9 @@ from scipy import ndimage
 from inflate_lib._checks import flag, number, positive_number
 from inflate_lib.mechanics.mesh import boundary_loops
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, WALL, main_component
+
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.inflation import Inflation
 
 ROUNDING = 1e-9  # pixels; so that 2/28 is two pixels and not three
 
@@ -59,19 +63,19 @@ class Constraints:
                 raise ValueError(f"keep_out must have left < right and bottom < top, not {self.keep_out!r}")
             object.__setattr__(self, "keep_out", (left, bottom, right, top))
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """What is demanded, in plain values."""
         none, names = Constraints(), self.__dataclass_fields__
         return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(none, name)}
 
-    def moved(self, distance):
+    def moved(self, distance: float) -> "Constraints":
         """The same demands on a structure that will yet move to the right by `distance`."""
         if self.keep_out is None:
             return self
         left, bottom, right, top = self.keep_out
         return replace(self, keep_out=(left - distance, bottom, right - distance, top))
 
-    def broken_by(self, label):
+    def broken_by(self, label: np.ndarray) -> str:
         """Name of the first demand that a label image breaks, or an empty text."""
         if self.max_material < PIXEL**2 * np.sum(label == WALL) * (1 - ROUNDING):
             return "max_material"
@@ -83,7 +87,7 @@ class Constraints:
             return "keep_out"
         return ""
 
-    def broken_when_inflated(self, result):
+    def broken_when_inflated(self, result: "Inflation") -> str:
         """Name of the first demand that a structure breaks at a load step, or an empty text."""
         if self.keep_out is not None:
             left, bottom, right, top = self.keep_out

@@ -17,7 +17,7 @@ PIECES = 32  # straight pieces that stand for one curved segment of an SVG path
 OPEN = 0.01  # gap, relative to the size of a drawing, up to which it counts as closed
 
 
-def read_outline(path, unit):
+def read_outline(path: str | Path, unit: float) -> np.ndarray:
     """Corners (k, 2) of a drawn outline, y upwards, in lengths of the unit square.
 
     Parameters

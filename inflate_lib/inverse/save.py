@@ -9,6 +9,7 @@ import errno
 import json
 import platform
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
@@ -22,11 +23,20 @@ from inflate_lib.io.vtk import write_vtk
 from inflate_lib.mechanics.mesh import boundary_loops
 from inflate_lib.structures.labels import FRAME, OUTSIDE, WALL
 
+if TYPE_CHECKING:
+    from inflate_lib.inverse.search import Designs
+
 SIZE_MM, DEPTH_MM, BASE_MM = 100.0, 20.0, 3.0
 NOTCH = 0.05  # pixels
 
 
-def save_designs(designs, folder, size_mm=SIZE_MM, depth_mm=DEPTH_MM, overwrite=False):
+def save_designs(
+    designs: "Designs",
+    folder: str | Path,
+    size_mm: float = SIZE_MM,
+    depth_mm: float = DEPTH_MM,
+    overwrite: bool = False,
+) -> list[Path]:
     """Write a contact sheet, a table and a folder for each design.
 
     Everything is written beside `folder` first and moved there when it is whole.

@@ -8,6 +8,7 @@ import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,22 +62,22 @@ class Targets:
             raise ValueError(f"nothing is asked for: give {', '.join(NUMBERS)}, an axis or an outline, one at least")
 
     @property
-    def asked(self):
+    def asked(self) -> tuple[str, ...]:
         """Names of the descriptors that are asked for."""
         return (*(name for name in (*NUMBERS, "axis") if getattr(self, name) is not None), *self.others)
 
     @property
-    def vectors(self):
+    def vectors(self) -> dict[str, np.ndarray]:
         """Name → vector (N,) of each descriptor that is asked for."""
         return {name: self.vector(name) for name in self.asked}
 
-    def vector(self, name):
+    def vector(self, name: str) -> np.ndarray:
         """(N,) the target of one descriptor, NaN where it is not asked for; an axis says what the height is."""
         return np.concatenate([self._of_part(part) for part in get_descriptor(name).parts])
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Plain numbers for JSON, of what is asked for."""
-        wanted = vars(self) | self.others
+        wanted = {**vars(self), **self.others}
         return {name: np.asarray(wanted[name]).tolist() for name in self.asked}
 
     def _of_part(self, name):
@@ -147,15 +148,26 @@ def outline_targets(points):
     return Targets(shape.height, shape.width, shape.hull_area, shape.medial_axis, points - [0, points[:, 1].min()])
 
 
-def read_targets(height=None, width=None, area=None, axis=None, outline=None, unit=1.0, stress=None, stretch=None):
-    """Targets from numbers and files; None where not asked for. See :func:`read_axis` and :func:`read_outline`.
+def read_targets(
+    height: float | None = None,
+    width: float | None = None,
+    area: float | None = None,
+    axis: str | Path | None = None,
+    outline: str | Path | None = None,
+    unit: float = 1.0,
+    stress: float | None = None,
+    stretch: float | None = None,
+) -> Targets:
+    """Targets from numbers and files; None where not asked for.
+
+    See :func:`read_axis` and :func:`inflate_lib.inverse.drawings.read_outline`.
 
     Raises
     ------
     ValueError
         Where a file is no such file, where nothing is asked for, or more than an outline leaves open.
     """
-    given = {"height": height, "width": width, "area": area, "stress": stress, "stretch": stretch}
+    given: dict[str, Any] = {"height": height, "width": width, "area": area, "stress": stress, "stretch": stretch}
     given["axis"] = None if axis is None else read_axis(axis)
     given["outline"] = None if outline is None else read_outline(outline, unit)
     try:

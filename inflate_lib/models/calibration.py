@@ -8,6 +8,7 @@ fit a linear g by least squares. To get c, the model is then told g⁻¹(c). Hel
 Guidance narrows the scatter around g at the price of exaggeration; calibration takes the exaggeration back.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -30,7 +31,7 @@ class Calibration:
     slope: np.ndarray  # S (k, k)
 
     @classmethod
-    def fit(cls, targets, achieved):
+    def fit(cls, targets: np.ndarray, achieved: np.ndarray) -> "Calibration":
         """Fit g to what was asked for and what was achieved, (n, N) each, all finite.
 
         Directions of little variance, in which a model may hardly follow at all, are left out one by one until g can be
@@ -61,22 +62,22 @@ class Calibration:
             "or do without calibration"
         )
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Plain numbers, for the header of a file of weights."""
         return {name: value.tolist() for name, value in vars(self).items()}
 
     @classmethod
-    def from_dict(cls, values):
+    def from_dict(cls, values: Mapping) -> "Calibration":
         """The reverse of :meth:`as_dict`; what else `values` say, such as how the fit was made, is passed over."""
         return cls(*(np.array(values[field.name], dtype=float) for field in fields(cls)))
 
-    def answer(self, told):
+    def answer(self, told: np.ndarray) -> np.ndarray:
         """g: what the model draws on average when it is told ``told`` (n, N)."""
         told = np.asarray(told, dtype=float)
         z = (told - self.mean) @ self.directions.T
         return told + (z @ self.slope.T + self.offset - z) @ self.directions
 
-    def told(self, targets):
+    def told(self, targets: np.ndarray) -> np.ndarray:
         """What to tell the model, (n, N), to get ``targets`` (n, N)."""
         targets = np.asarray(targets, dtype=float)
         z = (targets - self.mean) @ self.directions.T

@@ -71,7 +71,7 @@ def figure(
     -------
     fig : matplotlib.figure.Figure
     axes : matplotlib.axes.Axes or ndarray of Axes
-        As :func:`matplotlib.pyplot.subplots` returns them; `kwargs` are passed on.
+        As ``matplotlib.pyplot.subplots`` returns them; `kwargs` are passed on.
     """
     return plt.subplots(rows, cols, figsize=(width / 2.54, height / 2.54), **kwargs)
 
