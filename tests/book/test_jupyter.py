@@ -118,7 +118,7 @@ def test_a_changed_number_is_a_changed_line(server, folder):
     name = "05_descriptors.md"
     notebook = server.ask("GET", f"contents/{name}?type=notebook")["content"]
     cell = next(cell for cell in notebook["cells"] if "parameters" in cell["metadata"].get("tags", []))
-    cell["source"] = cell["source"].replace("seed = 0", "seed = 1")
+    cell["source"] = cell["source"].replace("n_checked = 30", "n_checked = 31")
     server.ask("PUT", f"contents/{name}", {"type": "notebook", "format": "json", "content": notebook})
     before, after = ((place / name).read_text(encoding="utf-8") for place in (paths.NOTEBOOKS, folder))
-    assert after == before.replace("seed = 0", "seed = 1", 1) != before
+    assert after == before.replace("n_checked = 30", "n_checked = 31", 1) != before
