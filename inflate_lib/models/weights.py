@@ -143,6 +143,8 @@ def _as_vectors(name, value):
         shapes = f"({', '.join(descriptor.parts)}) or an array (m, {n})"
     problem = f"{name} must be {shapes}, not "
     try:
+        if np.asarray(value).dtype.kind not in "iuf":  # no text, no truth values
+            raise TypeError
         values = np.asarray(value, dtype=float)
     except (TypeError, ValueError, RuntimeError):
         raise ValueError(f"{problem}{value!r}") from None
@@ -150,7 +152,10 @@ def _as_vectors(name, value):
         raise ValueError(f"{problem}one of shape {values.shape}")
     if not np.isfinite(values).all():
         raise ValueError(f"{name} must be finite, not {values[~np.isfinite(values)][0]}")
-    return values.reshape(-1, n)
+    values = values.reshape(-1, n)
+    if descriptor.is_line and (values[:, :2].any() or not np.all(np.diff(values[:, 1::2]) > 0)):
+        raise ValueError(f"{name} must begin at the origin, and its points must rise")
+    return values
 
 
 def load_model(name: str, profile: str = "laptop") -> Model:
