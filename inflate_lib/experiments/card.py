@@ -79,7 +79,7 @@ _MEASURES = {
 
 
 def calibrate_weights(folder, data, recipe: Recipe, seed=SEED):
-    """Measure how the models in a folder answer, and write down beside their weights what :func:`load_model` needs.
+    """Measure how the models in a folder answer, and write what :func:`.weights.load_model` needs beside them.
 
     Into the header of each file go the recipe's sampling and the calibrations for it, and ``reach.npz`` beside them
     holds what the structures reach. The weights stay as they are. A joint model is calibrated for every combination of
