@@ -176,7 +176,7 @@ def inflate(
     displacement[:reached, system.order] = free_positions - mesh.nodes[system.order]
     reason = ""
     if reached < n_steps:
-        reason = f"no equilibrium found at load step {reached + 1} of {n_steps} (pressure {pressures[reached]:.4g})"
+        reason = f"no equilibrium was found at load step {reached + 1} of {n_steps} (pressure {pressures[reached]:.4g})"
         if turned_over:
             reason += ": an element turns inside out"
         elif factorisations >= allowed:

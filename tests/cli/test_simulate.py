@@ -141,7 +141,7 @@ def test_files_carry_the_name_of_their_structure(folder, run):
 def test_a_structure_without_equilibrium_is_a_failure_with_a_reason(folder, run):
     code, out, err = run("seven.png", "--pressure", "5", "--json", "--moose", "cases")
     (record,) = json.loads(out)["structures"]
-    assert code == 1 and not record["converged"] and "no equilibrium found" in record["reason"]
+    assert code == 1 and not record["converged"] and "no equilibrium was found" in record["reason"]
     assert record["files"] == ["cases/seven.i", "cases/seven.e"] and "no equilibrium" in err
 
 

@@ -144,7 +144,7 @@ def test_structure_without_equilibrium_keeps_its_row(monkeypatch):
     monkeypatch.setattr(simulate.inflation, "inflate", lambda *a, **options: real(*a, **options, pressure=5.0))
     data = simulate_dataset(DIGITS[:2], n_jobs=1)
     assert not data.converged.any()
-    assert all("no equilibrium found at load step" in reason for reason in data.reason.values)
+    assert all("no equilibrium was found at load step" in reason for reason in data.reason.values)
     assert all(np.isnan(data[name]).all() for name in NUMBERS)
     assert data.label.any(dim=("row", "column")).all()
 

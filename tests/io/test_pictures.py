@@ -34,7 +34,7 @@ def mean():
 def stuck(mean):
     displacement = mean.displacement.copy()
     displacement[1] = np.nan
-    return replace(mean, displacement=displacement, converged=False, reason="no equilibrium found")
+    return replace(mean, displacement=displacement, converged=False, reason="no equilibrium was found")
 
 
 def three_dimensional(F):
