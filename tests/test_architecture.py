@@ -47,8 +47,11 @@ def test_the_reference_has_every_package_that_is_no_command():
 
 
 @pytest.mark.parametrize("name", sorted(PACKAGES - {"cli"}))
-def test_no_public_name_is_hidden_by_a_module(name):
+def test_public_names_are_typed_and_no_module_hides_them(name):
     package = import_module(f"inflate_lib.{name}")
     assert not set(package.__all__) & {module.name for module in pkgutil.iter_modules(package.__path__)}
     for public in package.__all__:
-        assert not inspect.ismodule(getattr(package, public))
+        if inspect.isfunction(function := getattr(package, public)):
+            hints = inspect.signature(function)
+            kinds = [hints.return_annotation, *(parameter.annotation for parameter in hints.parameters.values())]
+            assert inspect.Signature.empty not in kinds, f"{public} lacks type hints"

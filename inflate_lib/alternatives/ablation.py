@@ -5,8 +5,10 @@ Sampling is varied with a trained model at hand. Training is varied by training 
 """
 
 import warnings
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -15,6 +17,12 @@ from inflate_lib.diffusion import TrainingConfig
 from inflate_lib.experiments.calibrate import calibrate
 from inflate_lib.experiments.run import run_experiment
 from inflate_lib.experiments.tables import scores
+
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+
+    from inflate_lib.models import Model
 
 GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
 N_CALIBRATION = 150  # structures drawn to calibrate a model
@@ -41,7 +49,7 @@ def sampling_variants(sampling):
     return variants
 
 
-def training_variants(training):
+def training_variants(training: Mapping) -> dict:
     """Ways of training, (group, name) → (options of ``TrainingConfig``, number of structures; None: all)."""
     plain = TrainingConfig.from_dict(training)
     changes = {("recipe", "of this profile"): {}}
@@ -69,7 +77,9 @@ def training_variants(training):
     return variants
 
 
-def sampling_ablation(model, data, targets, seed=0, n_calibration=0):
+def sampling_ablation(
+    model: "Model", data: "xr.Dataset", targets: "np.ndarray", seed: int = 0, n_calibration: int = 0
+) -> pd.DataFrame:
     """The same targets, sampled in every way of :func:`sampling_variants`.
 
     With `n_calibration` structures each way is calibrated by itself; the last row is then the model's own way without.

@@ -4,6 +4,7 @@ It answers the same targets and is judged by the same pipeline.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -18,6 +19,12 @@ from inflate_lib.diffusion._loop import fit
 from inflate_lib.diffusion._random import initialised, random_generator
 from inflate_lib.experiments.run import check_targets, judge
 from inflate_lib.models.calibration import Calibration
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from inflate_lib.datasets.pairs import TrainingSet
+    from inflate_lib.diffusion import TrainedModel
 
 LATENT = 4  # numbers that the autoencoder describes an image by, besides the descriptor
 FINER = (16, 32)  # channels on 28 and on 14 pixels a side
@@ -100,7 +107,7 @@ class TrainedAutoencoder:
             return self.net.decode(z, self.scaled(np.asarray(conditions, dtype=float))).numpy()
 
 
-def train_autoencoder(pairs, like):
+def train_autoencoder(pairs: "TrainingSet", like: "TrainedModel") -> TrainedAutoencoder:
     """Train the autoencoder that stands beside a diffusion model, or find it trained in the cache.
 
     It has as many parameters (the nearest width), sees as many images of the same pairs, in batches of the same
@@ -158,7 +165,14 @@ def nearest_width(n_conditions, n_parameters):
     return max(1, 1 + round((n_parameters - one) / (two - one)))
 
 
-def run_autoencoder(model, descriptor, targets, seed=0, n_jobs=-1, calibration=None):
+def run_autoencoder(
+    model: TrainedAutoencoder,
+    descriptor: str,
+    targets: np.ndarray,
+    seed: int = 0,
+    n_jobs: int = -1,
+    calibration: Calibration | None = None,
+) -> "xr.Dataset":
     """One structure that an autoencoder draws for each target (k, N), as :func:`.run_experiment` does."""
     targets = check_targets(model, descriptor, targets)
     told = targets if calibration is None else calibration.told(targets)

@@ -6,6 +6,8 @@ ranked, the k-th of them is the best of n that were picked at random with probab
 
 import json
 import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -18,6 +20,11 @@ from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.metrics import bootstrap, misses
 from inflate_lib.experiments.run import model_digest
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from inflate_lib.alternatives.surrogate import Surrogate
 
 
 def chances(n_candidates, n):
@@ -57,7 +64,15 @@ def weighted_quantile(values, weights, q):
     return values[order][min(np.searchsorted(total, q * total[-1] * (1 - 1e-12)), len(values) - 1)]
 
 
-def selection(candidates, descriptor, trained, ns=(1, 4, 16, 50), seconds=None, seed=0, n_resamples=500):
+def selection(
+    candidates: "xr.Dataset",
+    descriptor: str,
+    trained: "Surrogate",
+    ns: Sequence[int] = (1, 4, 16, 50),
+    seconds: Mapping | None = None,
+    seed: int = 0,
+    n_resamples: int = 500,
+) -> pd.DataFrame:
     """Error against the number of candidates, and against the time that they take.
 
     Parameters

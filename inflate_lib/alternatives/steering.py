@@ -12,6 +12,8 @@ withholds it while x̂₀ is still a blur. The gradient is not taken through the
 cost.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -26,6 +28,10 @@ from inflate_lib.diffusion.sampling import _noise, denoise, guided
 from inflate_lib.diffusion.schedule import at
 from inflate_lib.experiments.run import check_targets, judge, model_digest
 from inflate_lib.structures import labels
+
+if TYPE_CHECKING:
+    from inflate_lib.alternatives.surrogate import Surrogate
+    from inflate_lib.models import Model
 
 SHARPNESS = 12.0  # of the border between dark and bright; at ∞ it is the threshold of the label image
 LARGEST = 0.5  # change of a pixel in one step, of the range from −1 to 1
@@ -65,7 +71,15 @@ def correction(x0: Tensor, wanted: Tensor, trained: surrogate.Surrogate, columns
     return step * (LARGEST / largest)[:, None, None, None]
 
 
-def steer(model, told, wanted, trained, strength=1.0, seed=0, start=0):
+def steer(
+    model: "Model",
+    told: np.ndarray,
+    wanted: np.ndarray,
+    trained: "Surrogate",
+    strength: float = 1.0,
+    seed: int = 0,
+    start: int = 0,
+) -> np.ndarray:
     """Structures drawn by DDIM under the guidance of a surrogate.
 
     Parameters

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,6 +10,11 @@ from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.experiments.run import run_experiment
 from inflate_lib.models.calibration import Calibration
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from inflate_lib.models import Model
 
 N_ASKED = 300  # structures drawn to fit g
 
@@ -18,7 +24,9 @@ def calibrate(model, data, n=N_ASKED, seed=0, descriptor=None, n_jobs=-1):
     return Calibration.fit(*answers(model, data, n, seed, descriptor, n_jobs))
 
 
-def calibrate_all(models: Mapping, data, n=N_ASKED, seed=0, n_jobs=-1):
+def calibrate_all(
+    models: Mapping, data: "xr.Dataset", n: int = N_ASKED, seed: int = 0, n_jobs: int = -1
+) -> "dict[str, Model]":
     """The same models, name → :class:`inflate_lib.models.Model`, each calibrated; as they are where n is 0."""
     if n == 0:
         return dict(models)

@@ -5,6 +5,7 @@ from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -17,6 +18,9 @@ from inflate_lib.experiments.tables import score, scores, with_interval
 from inflate_lib.models.reach import SIZES, save_reach
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.weights import Model
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 SEED = 1  # of the choice of targets, and of the noise
 #: What a joint model is calibrated for.
@@ -129,7 +133,7 @@ def calibrate_weights(folder, data, recipe: Recipe, seed=SEED):
     return models
 
 
-def write_card(folder, data, recipe: Recipe, n: int | None = None, seed=SEED):
+def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None = None, seed: int = SEED) -> Path:
     """Measure the models in a folder on held-out targets, and write the card, ``README.md``, beside them.
 
     They are calibrated first, see :func:`calibrate_weights`, whose parameters these are. The measured numbers also go

@@ -5,6 +5,8 @@ number of the target) and ``valid``. Structures from elsewhere, such as real one
 """
 
 import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,11 +21,24 @@ from inflate_lib.descriptors import PARTS, added_version, columns, descriptor_ma
 from inflate_lib.diffusion import generate
 from inflate_lib.structures import labels
 
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from inflate_lib.models import Model
+
 WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for a drawing to be one structure
 PIECE = 128  # structures generated at a time, which is what a killed run can lose
 
 
-def run_experiment(model, targets, n_per_target=50, seed=0, descriptor=None, n_jobs=-1, extrapolate=False):
+def run_experiment(
+    model: "Model",
+    targets: np.ndarray,
+    n_per_target: int = 50,
+    seed: int = 0,
+    descriptor: str | None = None,
+    n_jobs: int = -1,
+    extrapolate: bool = False,
+) -> "xr.Dataset":
     """Generate structures for each target, inflate and describe them (paper sec. 2.3).
 
     Parameters
@@ -81,7 +96,14 @@ def run_experiment(model, targets, n_per_target=50, seed=0, descriptor=None, n_j
     return load_dataset(cached("experiment", key, make, ".nc"))
 
 
-def judge(images, descriptor, targets, level=None, n_jobs=-1, folder=None):
+def judge(
+    images: np.ndarray,
+    descriptor: str,
+    targets: np.ndarray,
+    level: np.ndarray | None = None,
+    n_jobs: int = -1,
+    folder: Path | None = None,
+) -> "xr.Dataset":
     """Label, inflate and describe images that were drawn for targets.
 
     Parameters
@@ -159,7 +181,9 @@ def target_range(model, descriptor):
     return model.condition_min[asked], model.condition_max[asked]
 
 
-def held_out_targets(data, descriptor, model=None, n=200, seed=0):
+def held_out_targets(
+    data: "xr.Dataset", descriptor: str, model: "Model | None" = None, n: int | None = 200, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
     """Targets that real structures reach which no model was trained on, so that each can be achieved.
 
     Parameters
@@ -169,8 +193,8 @@ def held_out_targets(data, descriptor, model=None, n=200, seed=0):
     descriptor : str
     model : inflate_lib.models.Model, optional
         Leave structures out whose descriptor lies outside its training range.
-    n : int
-        How many, drawn without repetition; all of them where there are fewer.
+    n : int, optional
+        How many, drawn without repetition; all of them where it is None, or there are fewer.
     seed : int
         Of the draw.
 

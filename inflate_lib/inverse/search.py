@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -31,6 +32,9 @@ from inflate_lib.models.reach import check_reach
 from inflate_lib.models.recipe import load_recipe
 from inflate_lib.models.weights import Model, load_model, trained_models
 from inflate_lib.structures.labels import FRAME, OUTSIDE
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 PREFERENCES = ("low-stress", "high-stress")
 BATCH = 64  # candidates
@@ -76,7 +80,7 @@ class Design:
     origin: dict
 
     @property
-    def error(self):
+    def error(self) -> float:
         """The largest of the relative errors."""
         return max(self.deviations.values())
 
@@ -102,11 +106,11 @@ class Designs:
     stopped: Stop | None = None  # None while it goes on
 
     @property
-    def within(self):
+    def within(self) -> int:
         """Number of candidates within the tolerance."""
         return len(self.pool)
 
-    def table(self):
+    def table(self) -> pd.DataFrame:
         """A row per design: errors in percent, descriptors, peaks."""
         rows = []
         for number, one in enumerate(self.designs, start=1):
@@ -118,7 +122,7 @@ class Designs:
         columns = ["design", "within", *names, "height", "width", "area", "peak stress", "peak stretch"]
         return pd.DataFrame(rows, columns=columns)
 
-    def summary(self):
+    def summary(self) -> str:
         """The account in a few lines."""
         good = sum(one.within for one in self.designs)
         lines = [
@@ -145,7 +149,7 @@ def design(
     *,
     model: Model | None = None,
     profile: str | None = None,
-    data=None,
+    data: "xr.Dataset | None" = None,
     constraints: Constraints | None = None,
     tolerance: float = 0.01,
     prefer: str | None = None,
@@ -288,7 +292,7 @@ def corrected(aim, wanted, achieved, model):
     return np.clip(aim - miss, model.condition_min, model.condition_max)
 
 
-def choose(pool, n, prefer=None):
+def choose(pool: list[Design], n: int, prefer: str | None = None) -> list[Design]:
     """`n` designs of a pool in the order of their error: as different as can be among those within the tolerance.
 
     With `prefer`, among the half of those with the lowest (highest) stress, in the order of stress.

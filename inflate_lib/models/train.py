@@ -7,6 +7,7 @@ another one needed it before.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs
@@ -18,6 +19,9 @@ from inflate_lib.diffusion import _ranks, train
 from inflate_lib.diffusion.training import choose_device
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.remote import train_and_test, write_pack
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def training_set(descriptor: str, recipe: Recipe, data) -> TrainingSet:
@@ -91,7 +95,9 @@ def trained_model_file(
     return path
 
 
-def train_models(names: Sequence[str], recipe: Recipe, data, log: Path | None = None) -> dict[str, Path | None]:
+def train_models(
+    names: Sequence[str], recipe: Recipe, data: "xr.Dataset", log: Path | None = None
+) -> dict[str, Path | None]:
     """Train several models, or find them trained in the cache: :func:`trained_model_file` for each, side by side.
 
     Small networks leave a second CPU thread idle most of the time, so that two models on two cores finish sooner than

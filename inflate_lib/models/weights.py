@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from inflate_lib.models import RETRAIN, reach
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.train import train_models, training_set
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True)
@@ -189,7 +192,7 @@ def load_model(name: str, profile: str = "laptop") -> Model:
     return Model(name, trained, trained.metadata.get("sampling", {}), calibrations, table)
 
 
-def committed_weights(descriptor: str, recipe: Recipe, data) -> tuple[Path | None, str]:
+def committed_weights(descriptor: str, recipe: Recipe, data: "xr.Dataset") -> tuple[Path | None, str]:
     """Find weights in ``data/pretrained`` that were trained as a recipe says, on these very data.
 
     The images must be the same to the last bit; the descriptors, whose last digits depend on the processor, must agree
@@ -219,7 +222,7 @@ def committed_weights(descriptor: str, recipe: Recipe, data) -> tuple[Path | Non
     return None, why_not
 
 
-def trained_models(names: Sequence[str], recipe: Recipe, data) -> dict[str, Model]:
+def trained_models(names: Sequence[str], recipe: Recipe, data: "xr.Dataset") -> dict[str, Model]:
     """The models of several descriptors: committed weights where there are any, else trained, or found in the cache.
 
     A line of text says which. With the environment variable ``INFLATE_RETRAIN`` (``inflate reproduce --retrain``)
