@@ -6,8 +6,8 @@ writes data/reference/calibration.csv, which the appendix "Verification" reads, 
 says where it comes from. Several minutes.
 """
 
+import argparse
 import json
-import sys
 from dataclasses import asdict
 
 import numpy as np
@@ -48,4 +48,6 @@ def main(n_jobs):
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("processes", type=int, nargs="?", default=1)
+    main(parser.parse_args().processes)

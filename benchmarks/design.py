@@ -7,6 +7,7 @@ own, and writes data/reference/design.csv and design.json beside it. Seconds are
 mean what they say on a machine that does nothing else.
 """
 
+import argparse
 import os
 import subprocess
 import sys
@@ -47,4 +48,5 @@ def main():
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     main()

@@ -7,6 +7,7 @@ where it comes from. FElupe comes with the test extras. Ten minutes on an idle c
 cache, so that a run that was stopped goes on where it was.
 """
 
+import argparse
 import json
 import sys
 import time
@@ -76,4 +77,5 @@ def main():
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     main()

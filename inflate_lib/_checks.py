@@ -29,6 +29,13 @@ def number(name: str, value: Any, least: float = -math.inf, below: float = math.
     raise ValueError(f"{name} must be {wanted}, not {value!r}{_hint(value)}")
 
 
+def share(name: str, value: Any) -> float:
+    """`value` as a number of Python, or a ValueError where it is none from 0 to 1, both included."""
+    if _is_number(value) and 0 <= value <= 1:
+        return _plain(value)
+    raise ValueError(f"{name} must be between 0 and 1, not {value!r}{_hint(value)}")
+
+
 def positive_number(name: str, value: Any, unit: str = "", finite: bool = True) -> float:
     """`value` as a number of Python, or a ValueError where it is not greater than zero; `unit` is its unit."""
     if _is_number(value) and value > 0 and (value < math.inf or not finite):

@@ -24,7 +24,7 @@ from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives import surrogate
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.diffusion import process
-from inflate_lib.diffusion.sampling import _noise, denoise, guided
+from inflate_lib.diffusion.sampling import denoise, guided, noise_images
 from inflate_lib.diffusion.schedule import at
 from inflate_lib.experiments.run import check_targets, judge, model_digest
 from inflate_lib.structures import labels
@@ -117,7 +117,7 @@ def steer(
         return noise if objective == "epsilon" else trust.sqrt() * noise - (1 - trust).sqrt() * x0
 
     with torch.no_grad():
-        noise = _noise(seed, range(start, start + len(y)), network.image_size, torch.device("cpu"))
+        noise = noise_images(seed, range(start, start + len(y)), network.image_size, torch.device("cpu"))
         for x in denoise(predict, schedule, noise, objective, "ddim", options["steps"], options["eta"]):
             last = x
     return ((last[:, 0] + 1) / 2).clamp(0, 1).numpy()

@@ -15,7 +15,7 @@ import numpy as np
 from inflate_lib._checks import choice
 from inflate_lib.descriptors import describe
 from inflate_lib.io import moose, pictures
-from inflate_lib.io.pictures import _reason, read_images
+from inflate_lib.io.pictures import in_one_line, read_images
 from inflate_lib.io.vtk import write_vtk
 from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, inflate, load_history
 from inflate_lib.mechanics.mesh import build_mesh
@@ -184,7 +184,7 @@ def _record(name, file, image, note, options, alone):
             series = write_vtk(result, path)
             written += [file for file in series if file in (path, path.with_suffix(".pvd"))]
     except (ValueError, OSError, RuntimeError) as error:
-        record["reason"] = record["reason"] or _reason(error)  # a file that cannot be written counts as well
+        record["reason"] = record["reason"] or in_one_line(error)  # a file that cannot be written counts as well
     return record | {"seconds": time.perf_counter() - start, "files": [str(path) for path in written]}
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inflate_lib._checks import choice, number, whole_number
+from inflate_lib._checks import choice, number, share, whole_number
 from inflate_lib.diffusion import process
 from inflate_lib.diffusion._random import random_generator
 from inflate_lib.diffusion.model import TrainedModel
@@ -178,8 +178,7 @@ def generate(
         Wrong number of descriptors, or one that is not finite; unknown sampler; impossible number of steps.
     """
     scaled = torch.from_numpy(model.scaled(_checked(model, conditions))).float()
-    if not isinstance(eta, int | float) or not 0 <= eta <= 1:
-        raise ValueError(f"eta must be between 0 and 1, not {eta!r}")
+    share("eta", eta)
     number("guidance", guidance)
     whole_number("batch_size", batch_size, 1)
     place = choose_device(device)
@@ -193,7 +192,7 @@ def generate(
             return guided(net, x, t.to(place), y, guidance)
 
         with torch.inference_mode():
-            noise = _noise(seed, range(start + rows.start, start + rows.stop), size, place)
+            noise = noise_images(seed, range(start + rows.start, start + rows.stop), size, place)
             states.append([])
             for x in denoise(predict, model.schedule, noise, model.config.objective, sampler, steps, eta):
                 if trajectory is None:
@@ -206,7 +205,7 @@ def generate(
     return merged[-1].clip(0, 1) if merged else np.empty((0, *size), np.float32)
 
 
-def _noise(seed: int, rows: range, size: tuple[int, int], device: torch.device) -> Iterator[Tensor]:
+def noise_images(seed: int, rows: range, size: tuple[int, int], device: torch.device) -> Iterator[Tensor]:
     """Standard normal images (n, 1, h, w) without end, each row from a generator of its own."""
     generators = [random_generator(seed, 3, row) for row in rows]
     while True:

@@ -123,7 +123,7 @@ def read_images(path: str | Path, resize: bool = False, invert: bool = False) ->
         try:
             images = np.load(path, allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
-            raise ValueError(f"{path} cannot be read as a NumPy array: {_reason(error)}") from None
+            raise ValueError(f"{path} cannot be read as a NumPy array: {in_one_line(error)}") from None
         images = images[None] if images.ndim == 2 else images
         if images.ndim != 3 or images.shape[1:] != (FRAME, FRAME) or not len(images):
             raise ValueError(f"{path} holds an array of shape {images.shape}, not ({FRAME}, {FRAME}) or a stack")
@@ -152,7 +152,7 @@ def read_picture(path):
     except FileNotFoundError:
         raise ValueError(f"{path} does not exist") from None
     except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path} cannot be read as a picture: {_reason(error)}") from None
+        raise ValueError(f"{path} cannot be read as a picture: {in_one_line(error)}") from None
 
 
 def _fitted(grey):
@@ -168,6 +168,6 @@ def _fitted(grey):
     return fitted
 
 
-def _reason(error):
+def in_one_line(error):
     """An error in one line."""
     return " ".join(str(error).split()) or type(error).__name__

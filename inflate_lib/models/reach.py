@@ -69,10 +69,11 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
     """
     data = data.isel(structure=np.flatnonzero(data["converged"].values))
     values = {name: descriptor_matrix(data, name) for name in wanted}
-    miss = np.max([get_descriptor(name).error.share(values[name], wanted[name]) for name in wanted], axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a target of zero is infinitely far from everything
+        miss = np.max([get_descriptor(name).error.share(values[name], wanted[name]) for name in wanted], axis=0)
+        problem = contradiction(wanted)
     nearest = int(np.argmin(miss))
     scalars = [one.name for one in basic() if one.name in wanted and one.length == 1]
-    problem = contradiction(wanted)
     for name in scalars:
         value, least, most = wanted[name][0], values[name].min() * (1 - AGREE), values[name].max() * (1 + AGREE)
         if not problem and not least <= value <= most:

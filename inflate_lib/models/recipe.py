@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from inflate_lib import paths
-from inflate_lib._checks import choice, number, whole_number
+from inflate_lib._checks import choice, number, share, whole_number
 from inflate_lib._yaml import read_yaml
 from inflate_lib.descriptors import get_descriptor
 
@@ -35,7 +35,7 @@ ITS_RECIPE = "ci"  # the profile whose recipe it has
 SAMPLING = {
     "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
     "steps": partial(whole_number, least=1),
-    "eta": partial(number, least=0, below=1 + 1e-12),
+    "eta": share,
     "guidance": number,
 }
 
@@ -121,7 +121,11 @@ class Recipe:
         from inflate_lib.diffusion import TrainingConfig
 
         options = {**self.training, "seed": self.seed}
-        steps_of = {get_descriptor(name).name: steps for name, steps in (options.pop("steps_of", None) or {}).items()}
+        steps_of = options.pop("steps_of", None) or {}
+        if not isinstance(steps_of, Mapping):
+            raise ValueError(f"steps_of must be a mapping of descriptors to numbers of steps, not {steps_of!r}")
+        for name, steps in steps_of.items():
+            whole_number(f"steps_of.{get_descriptor(name).name}", steps, 1)
         if descriptor in steps_of:
             options["steps"] = steps_of[descriptor]
         one = get_descriptor(descriptor)

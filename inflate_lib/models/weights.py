@@ -180,7 +180,7 @@ def load_model(name: str, profile: str = "laptop") -> Model:
     if not there:
         profiles = ", ".join(sorted(path.name for path in paths.PRETRAINED.glob("*/"))) or "none"
         raise ValueError(f"no weights of the profile {profile!r}; there are: {profiles}")
-    if name not in there:
+    if name not in list(there):
         raise ValueError(f"no model {name!r} of the profile {profile!r}; there are: {', '.join(there)}")
     trained = TrainedModel.load(there[name])
     if (folder / reach.FILE).is_file():

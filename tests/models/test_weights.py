@@ -103,6 +103,7 @@ def test_a_calibrated_model_is_told_something_else(ask, reach):
         ("height", {"height": "tall"}, "not 'tall'"),
         ("height", {"height": "1.05"}, "a number or an array .* not '1.05'"),
         ("height", {"height": True}, "a number or an array .* not True"),
+        ("height", {"height": 0}, "height 0 is out of reach"),
         ("axis", {"axis": np.zeros((30, 2))}, "axis must begin at the origin, and its points must rise"),
         ("axis", {"axis": np.linspace([0.1, 0], [0.1, 1], 30)}, "axis must begin at the origin"),
         ("height", {}, "targets must be a mapping"),
