@@ -1,8 +1,7 @@
 """How good are the structures of an experiment? Errors, validity, and how sure these numbers are.
 
 Errors are those of valid structures; how many are not valid is counted beside them, with the reasons. Intervals are
-percentile bootstrap intervals (Efron & Tibshirani 1993, chapter 13): the same number, computed again and again from
-resamples of the structures, and the range that holds the middle 95 % of the results.
+those of :func:`inflate_lib.experiments.metrics.bootstrap`.
 """
 
 from collections.abc import Iterable
