@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
     from inflate_lib.models import Model
 
-GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
-N_CALIBRATION = 150  # structures drawn to calibrate a model
-FAST = (10, 20, 50)  # steps of the fast samplers
+_GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
+_N_CALIBRATION = 150  # structures drawn to calibrate a model
+_FAST = (10, 20, 50)  # steps of the fast samplers
 SIZES = (600, 2000)  # structures, besides all
 MEASURES = ("R²", "median error", "valid")
-PAPER = {
+_PAPER = {
     "objective": "epsilon",
     "timestep_draws": 1,
     "ema_decay": 0.0,
@@ -39,12 +39,12 @@ PAPER = {
 }
 
 
-def sampling_variants(sampling):
+def _sampling_variants(sampling):
     """Ways of sampling, (group, name) → options of :func:`inflate_lib.diffusion.generate`."""
-    variants = {("guidance", f"w = {w:g}"): {**sampling, "guidance": w} for w in GUIDANCE}
+    variants = {("guidance", f"w = {w:g}"): {**sampling, "guidance": w} for w in _GUIDANCE}
     variants["sampler", "ancestral, all steps"] = {**sampling, "sampler": "ancestral"}
     for sampler, name in (("ddim", "DDIM"), ("dpm-solver++", "DPM-Solver++")):
-        for steps in FAST:
+        for steps in _FAST:
             variants["sampler", f"{name}, {steps} steps"] = {**sampling, "sampler": sampler, "steps": steps}
     return variants
 
@@ -65,7 +65,7 @@ def training_variants(training: Mapping) -> dict:
         changes["recipe", "t drawn uniformly"] = {"timestep_draws": 1}
     if plain.min_snr == 0:
         changes["recipe", "min-SNR weighting, γ = 5"] = {"min_snr": 5.0}
-    changes["recipe", "paper's loss and optimiser"] = PAPER
+    changes["recipe", "paper's loss and optimiser"] = _PAPER
     # What the paper leaves open.
     other = "add" if plain.conditioning == "scale-shift" else "scale-shift"
     changes["network", f"context enters by {other}"] = {"conditioning": other}
@@ -80,7 +80,7 @@ def training_variants(training: Mapping) -> dict:
 def sampling_ablation(
     model: "Model", data: "xr.Dataset", targets: "np.ndarray", seed: int = 0, n_calibration: int = 0
 ) -> pd.DataFrame:
-    """The same targets, sampled in every way of :func:`sampling_variants`.
+    """The same targets, sampled in every way of :func:`_sampling_variants`.
 
     With `n_calibration` structures each way is calibrated by itself; the last row is then the model's own way without.
 
@@ -90,7 +90,7 @@ def sampling_ablation(
         A row per way: group, variant, and of each measure the value with low and high, the ends of its interval.
     """
     rows = []
-    for (group, name), options in sampling_variants(model.sampling).items():
+    for (group, name), options in _sampling_variants(model.sampling).items():
         measured = evaluate_variant(model.sampled(**options), data, targets, seed, n_calibration=n_calibration)
         rows.append({"group": group, "variant": name} | measured)
     if n_calibration:
@@ -99,7 +99,7 @@ def sampling_ablation(
     return pd.DataFrame(rows)
 
 
-def evaluate_variant(model, data, targets, seed=0, n_calibration=N_CALIBRATION, descriptor=None, n_jobs=-1):
+def evaluate_variant(model, data, targets, seed=0, n_calibration=_N_CALIBRATION, descriptor=None, n_jobs=-1):
     """Measures of one model on given targets; those outside the range that it was trained on count as well.
 
     It is calibrated anew, unless it does not listen enough for that, or `n_calibration` is 0.

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from inflate_lib.datasets.pairs import TrainingSet
     from inflate_lib.diffusion import TrainedModel
 
-LATENT = 4  # numbers that the autoencoder describes an image by, besides the descriptor
-FINER = (16, 32)  # channels on 28 and on 14 pixels a side
-KL_WEIGHT = 3.0  # β of Higgins et al. (2017): the more it weighs, the less of the descriptor is told by z instead
-TOLD = 16  # width of what it makes of the descriptor
+_LATENT = 4  # numbers that the autoencoder describes an image by, besides the descriptor
+_FINER = (16, 32)  # channels on 28 and on 14 pixels a side
+_KL_WEIGHT = 3.0  # β of Higgins et al. (2017): the more it weighs, the less of the descriptor is told by z instead
+_TOLD = 16  # width of what it makes of the descriptor
 
 
 class Autoencoder(nn.Module):
@@ -45,12 +45,12 @@ class Autoencoder(nn.Module):
 
     def __init__(self, n_conditions: int, width: int):
         super().__init__()
-        a, b, c = *FINER, width
+        a, b, c = *_FINER, width
         self.deepest = c
-        self.told = nn.Sequential(nn.Linear(n_conditions, 64), nn.SiLU(), nn.Linear(64, TOLD), nn.SiLU())
+        self.told = nn.Sequential(nn.Linear(n_conditions, 64), nn.SiLU(), nn.Linear(64, _TOLD), nn.SiLU())
         self.encoder = nn.Sequential(*_layer(1, a), *_layer(a, b, stride=2), *_layer(b, c, stride=2), nn.Flatten())
-        self.posterior = nn.Linear(49 * c + TOLD, 2 * LATENT)
-        self.unfold = nn.Linear(LATENT + TOLD, 49 * c)
+        self.posterior = nn.Linear(49 * c + _TOLD, 2 * _LATENT)
+        self.unfold = nn.Linear(_LATENT + _TOLD, 49 * c)
         up = nn.Upsample(scale_factor=2)
         self.decoder = nn.Sequential(*_layer(c, b), up, *_layer(b, a), up, nn.Conv2d(a, 1, 3, padding=1))
 
@@ -70,12 +70,12 @@ class Autoencoder(nn.Module):
         return self.decoder(h)[:, 0].sigmoid()
 
 
-def kl_to_standard_normal(mean: Tensor, log_variance: Tensor) -> Tensor:
+def _kl_to_standard_normal(mean: Tensor, log_variance: Tensor) -> Tensor:
     """KL(N(mean, e^log_variance) ‖ N(0, 1)), summed over the last dimension, in nats."""
     return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=-1)
 
 
-def reconstruction_nll(images: Tensor, decoded: Tensor) -> Tensor:
+def _reconstruction_nll(images: Tensor, decoded: Tensor) -> Tensor:
     """−log p(x | z) per image, in nats, of pixels that are bright with the decoded probability.
 
     A grey pixel counts as bright in that share of the cases. A Gaussian whose variance fits the batch best (Rybkin et
@@ -86,7 +86,7 @@ def reconstruction_nll(images: Tensor, decoded: Tensor) -> Tensor:
 
 
 @dataclass
-class TrainedAutoencoder:
+class _TrainedAutoencoder:
     """A trained autoencoder; ``condition_min`` and ``condition_max`` (N,) are the range of the training descriptors."""
 
     net: Autoencoder
@@ -102,12 +102,12 @@ class TrainedAutoencoder:
 
     def generate(self, conditions, seed=0):
         """Images (n, 28, 28) for descriptors (n, N): decoded from z ~ N(0, 1). Image i depends on seed and i."""
-        z = torch.stack([torch.randn(LATENT, generator=random_generator(seed, 6, i)) for i in range(len(conditions))])
+        z = torch.stack([torch.randn(_LATENT, generator=random_generator(seed, 6, i)) for i in range(len(conditions))])
         with torch.inference_mode():
             return self.net.decode(z, self.scaled(np.asarray(conditions, dtype=float))).numpy()
 
 
-def train_autoencoder(pairs: "TrainingSet", like: "TrainedModel") -> TrainedAutoencoder:
+def train_autoencoder(pairs: "TrainingSet", like: "TrainedModel") -> _TrainedAutoencoder:
     """Train the autoencoder that stands beside a diffusion model, or find it trained in the cache.
 
     It has as many parameters (the nearest width), sees as many images of the same pairs, in batches of the same
@@ -126,9 +126,9 @@ def train_autoencoder(pairs: "TrainingSet", like: "TrainedModel") -> TrainedAuto
     (images, conditions), seed = pairs.pairs, pairs.seed
     low, high = conditions.min(axis=0), conditions.max(axis=0)
     steps, batch_size = like.config.training_steps(len(images)), like.config.batch_size
-    width = nearest_width(conditions.shape[1], like.net.n_parameters)
+    width = _nearest_width(conditions.shape[1], like.net.n_parameters)
     net = initialised(lambda: Autoencoder(conditions.shape[1], width), seed)
-    trained = TrainedAutoencoder(net, low, high, steps * batch_size, 0.0)
+    trained = _TrainedAutoencoder(net, low, high, steps * batch_size, 0.0)
 
     def make(target, scratch):
         x, y = torch.from_numpy(images).float() / 255, trained.scaled(conditions)
@@ -136,8 +136,8 @@ def train_autoencoder(pairs: "TrainingSet", like: "TrainedModel") -> TrainedAuto
         def loss(rows, generator):
             mean, log_variance = net.encode(x[rows], y[rows])
             z = mean + (log_variance / 2).exp() * torch.randn(mean.shape, generator=generator)
-            told = KL_WEIGHT * kl_to_standard_normal(mean, log_variance)
-            return (reconstruction_nll(x[rows], net.decode(z, y[rows])) + told).mean() / x[0].numel()
+            told = _KL_WEIGHT * _kl_to_standard_normal(mean, log_variance)
+            return (_reconstruction_nll(x[rows], net.decode(z, y[rows])) + told).mean() / x[0].numel()
 
         what = f"training the autoencoder ({pairs.descriptor})"
         history, seconds = fit(net, loss, len(x), steps, batch_size, 2e-3, seed, scratch, what)
@@ -159,14 +159,14 @@ def train_autoencoder(pairs: "TrainingSet", like: "TrainedModel") -> TrainedAuto
     return trained
 
 
-def nearest_width(n_conditions, n_parameters):
+def _nearest_width(n_conditions, n_parameters):
     """Width whose autoencoder has the number of parameters nearest to a given one."""
     one, two = _count(n_conditions, 1), _count(n_conditions, 2)  # the number is linear in the width
     return max(1, 1 + round((n_parameters - one) / (two - one)))
 
 
 def run_autoencoder(
-    model: TrainedAutoencoder,
+    model: _TrainedAutoencoder,
     descriptor: str,
     targets: np.ndarray,
     seed: int = 0,

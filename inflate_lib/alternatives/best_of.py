@@ -56,7 +56,7 @@ def best_of(errors, ranking, n):
     return np.take_along_axis(errors, order, axis=1), weights
 
 
-def weighted_quantile(values, weights, q):
+def _weighted_quantile(values, weights, q):
     """The smallest value up to which a share q of the weight lies."""
     values, weights = np.ravel(values), np.ravel(weights)
     order = np.argsort(values, kind="stable")
@@ -110,11 +110,11 @@ def selection(
             ordered, weights = best_of(error, ranking, n)
 
             def median(rows, ordered=ordered, weights=weights):
-                return weighted_quantile(ordered[rows], weights[rows], 0.5)
+                return _weighted_quantile(ordered[rows], weights[rows], 0.5)
 
             low, high = bootstrap(median, len(targets), None, seed, n_resamples)
             row = {"by": by, "n": n, "median": median(slice(None)), "low": float(low), "high": float(high)}
-            row["90 %"] = weighted_quantile(ordered, weights, 0.9)
+            row["90 %"] = _weighted_quantile(ordered, weights, 0.9)
             row["fails"] = (weights * np.isinf(ordered)).sum() / len(targets)
             if seconds is not None:
                 row["seconds"] = n * (seconds["generate"] + seconds["simulate" if by == "simulation" else "surrogate"])

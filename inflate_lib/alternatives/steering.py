@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from inflate_lib.alternatives.surrogate import Surrogate
     from inflate_lib.models import Model
 
-SHARPNESS = 12.0  # of the border between dark and bright; at ∞ it is the threshold of the label image
-LARGEST = 0.5  # change of a pixel in one step, of the range from −1 to 1
+_SHARPNESS = 12.0  # of the border between dark and bright; at ∞ it is the threshold of the label image
+_LARGEST = 0.5  # change of a pixel in one step, of the range from −1 to 1
 
 
-def soft_label(images: Tensor) -> Tensor:
+def _soft_label(images: Tensor) -> Tensor:
     """Label images (n, 28, 28) of images (n, 28, 28) in [0, 1], differentiable, in the middle of the bottom edge.
 
     :func:`inflate_lib.structures.labels.label_image` without what is about broken drawings (pieces, holes): the
     threshold is a sigmoid, the wall a maximum filter, and the move into the frame a choice of pixels.
     """
-    digit = F.pad(torch.sigmoid(SHARPNESS * (images - labels.THRESHOLD)), [labels.THICKNESS] * 4)
+    digit = F.pad(torch.sigmoid(_SHARPNESS * (images - labels.THRESHOLD)), [labels.THICKNESS] * 4)
     label = (digit + F.max_pool2d(digit[:, None], 2 * labels.THICKNESS + 1, 1, labels.THICKNESS)[:, 0]) / 2
     solid = label.detach() > labels.WALL / 2
     size, frame = label.shape[-1], torch.arange(labels.FRAME)
@@ -56,19 +56,19 @@ def soft_label(images: Tensor) -> Tensor:
     return label[torch.arange(len(label))[:, None, None], row[:, :, None], column[:, None, :]]
 
 
-def correction(x0: Tensor, wanted: Tensor, trained: surrogate.Surrogate, columns: np.ndarray) -> Tensor:
+def _correction(x0: Tensor, wanted: Tensor, trained: surrogate.Surrogate, columns: np.ndarray) -> Tensor:
     """What to add to clean images (n, 1, 28, 28) in [−1, 1] so that the surrogate expects ``wanted`` (n, N) of them.
 
     ``wanted`` is on the surrogate's own scale: mean 0, standard deviation 1.
     """
     with torch.enable_grad():
         x0 = x0.detach().clone().requires_grad_()
-        error = (trained.net(soft_label((x0[:, 0] + 1) / 2))[:, columns] - wanted).square().sum(dim=1) / 2
+        error = (trained.net(_soft_label((x0[:, 0] + 1) / 2))[:, columns] - wanted).square().sum(dim=1) / 2
         (gradient,) = torch.autograd.grad(error.sum(), x0)
     steepness = gradient.square().flatten(1).sum(dim=1).clamp(min=1e-12)
     step = -(2 * error.detach() / steepness)[:, None, None, None] * gradient
-    largest = step.abs().flatten(1).amax(dim=1).clamp(min=LARGEST)
-    return step * (LARGEST / largest)[:, None, None, None]
+    largest = step.abs().flatten(1).amax(dim=1).clamp(min=_LARGEST)
+    return step * (_LARGEST / largest)[:, None, None, None]
 
 
 def steer(
@@ -111,7 +111,7 @@ def steer(
             return answer
         x0 = process.predicted_x0(schedule, x, t, answer, objective).clamp(-1, 1)
         trust = at(schedule.alpha_bars, t, x)
-        x0 = x0 + strength * trust * correction(x0, scaled, trained, columns)
+        x0 = x0 + strength * trust * _correction(x0, scaled, trained, columns)
         # The answer that belongs to the new estimate: noise and velocity are both linear in it.
         noise = (x - trust.sqrt() * x0) / (1 - trust).sqrt()
         return noise if objective == "epsilon" else trust.sqrt() * noise - (1 - trust).sqrt() * x0

@@ -91,7 +91,7 @@ def train_surrogate(data: "xr.Dataset", steps: int = 1500, seed: int = 0, rows: 
     Surrogate
     """
     rows = training_rows(data) if rows is None else rows
-    labels, answers = data["label"].values[rows], answer_matrix(data)[rows]
+    labels, answers = data["label"].values[rows], _answer_matrix(data)[rows]
     parts = [columns(name, ANSWERS) for name in ANSWERS]
     mean = answers.mean(axis=0)
     scale = np.concatenate(
@@ -123,7 +123,7 @@ def train_surrogate(data: "xr.Dataset", steps: int = 1500, seed: int = 0, rows: 
     return Surrogate(net.eval(), mean, scale, content["seconds"])
 
 
-def answer_matrix(data):
+def _answer_matrix(data):
     """Everything that the surrogate answers: height, width, hull area and the medial axis, (n, 63)."""
     return np.column_stack([descriptor_matrix(data, name) for name in ANSWERS])
 

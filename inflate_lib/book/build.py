@@ -14,14 +14,14 @@ from inflate_lib import paths
 from inflate_lib.book._execution import strip_colour
 from inflate_lib.book.run import RunError, find_notebooks, plan
 
-COMPLAINT = re.compile(r"\b(WARNING|ERROR|CRITICAL|SEVERE)\b")  # as Sphinx marks them
+_COMPLAINT = re.compile(r"\b(WARNING|ERROR|CRITICAL|SEVERE)\b")  # as Sphinx marks them
 
 
 def build_book(profile_name: str, console: Console | None = None) -> Path:
     """Build ``book/_build/html`` with warnings as errors, after a check that every page is fresh under this profile."""
     console = console or Console()
     check_book(profile_name)
-    if warned := [line for job in plan(profile_name) for line in warnings_in(job.executed)]:
+    if warned := [line for job in plan(profile_name) for line in _warnings_in(job.executed)]:
         console.print("On stderr, left out of the book:", *warned, sep="\n", markup=False, highlight=False)
     build = paths.BOOK / "_build"
     whole = build / "complete"  # without this mark an earlier build broke off, and Sphinx would keep its pages
@@ -45,7 +45,7 @@ def run_jupyter_book(builder: str) -> Path:
     ) as build:
         for line in build.stderr:
             print(line, end="", file=sys.stderr, flush=True)
-            complaints += [strip_colour(line.strip())] if COMPLAINT.search(line) else []
+            complaints += [strip_colour(line.strip())] if _COMPLAINT.search(line) else []
     page = paths.BOOK / "_build" / builder / "index.html"
     if build.returncode or not page.is_file():
         why = "Jupyter Book reported warnings or errors; each has to go before the book is built:"
@@ -65,7 +65,7 @@ def check_book(profile_name: str) -> None:
         raise RunError("\n".join([*lines, f"Run: inflate reproduce --profile {profile_name}"]))
 
 
-def warnings_in(executed: Path) -> list[str]:
+def _warnings_in(executed: Path) -> list[str]:
     """What an executed notebook wrote to stderr, an entry for each cell that did."""
     cells = [cell for cell in nbformat.read(executed, as_version=4).cells if cell.cell_type == "code"]
     texts = ["".join(o.text for o in cell.outputs if o.get("name") == "stderr").strip() for cell in cells]

@@ -12,7 +12,7 @@ from inflate_lib import paths
 from inflate_lib.book.run import RunError, plan
 
 PROFILE = "laptop"
-KEPT = (".png", ".csv")  # an SVG is mostly larger than its PNG, and every run makes it
+_KEPT = (".png", ".csv")  # an SVG is mostly larger than its PNG, and every run makes it
 
 
 def publish_edition() -> None:
@@ -39,7 +39,7 @@ def publish_edition() -> None:
     paths.EDITION.mkdir(parents=True, exist_ok=True)
     published = set()
     for note in notes:
-        note["files"] = {file: content for file, content in note["files"].items() if file.endswith(KEPT)}
+        note["files"] = {file: content for file, content in note["files"].items() if file.endswith(_KEPT)}
         if note["files"]:
             _publish(note, run)
             published |= {*note["files"], f"{note['name']}.json"}

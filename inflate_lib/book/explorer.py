@@ -16,8 +16,8 @@ from inflate_lib.experiments.metrics import errors
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.mechanics.mesh import boundary_loops
 
-SCALE = 10_000  # whole numbers per length of the unit square, within 16 bits
-VARIABLE = "inflateExplorer"  # of the script
+_SCALE = 10_000  # whole numbers per length of the unit square, within 16 bits
+_VARIABLE = "inflateExplorer"  # of the script
 
 
 def outline(result):
@@ -32,7 +32,7 @@ def outline(result):
     lengths : dict
         ``{"outer": [points per loop], "cavity": [points per loop]}``.
     points : (1 + steps, n, 2) int16
-        All loops one after the other, outer ones first, in units of 1 / `SCALE`.
+        All loops one after the other, outer ones first, in units of 1 / `_SCALE`.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def outline(result):
     for loop in boundary_loops(result.cells):  # with the wall on the left
         loops["cavity" if (loop[1], loop[0]) in pressurised else "outer"].append(loop)
     positions = result.nodes + np.concatenate([np.zeros((1, *result.nodes.shape)), result.displacement])
-    points = np.rint(SCALE * positions[:, np.concatenate(loops["outer"] + loops["cavity"])])
+    points = np.rint(_SCALE * positions[:, np.concatenate(loops["outer"] + loops["cavity"])])
     if np.abs(points).max() > np.iinfo(np.int16).max:
         raise ValueError("the inflated structure is more than three times as large as the frame; it has no outline")
     lengths = {side: [len(loop) for loop in borders] for side, borders in loops.items()}
@@ -132,7 +132,7 @@ def explorer_script(experiments, n_shown, about):
     content : dict
         What the script says, without the points.
     """
-    content, pieces, place = {"scale": SCALE, "about": about, "descriptors": {}}, [], 0
+    content, pieces, place = {"scale": _SCALE, "about": about, "descriptors": {}}, [], 0
     for name, experiment in experiments.items():
         error, achieved = errors(experiment, name), descriptor_matrix(experiment, name)
         error = np.where(experiment["valid"].values, error, np.nan)
@@ -154,7 +154,7 @@ def explorer_script(experiments, n_shown, about):
     content["states"] = len(pieces[0]) if pieces else 0
     points = b"".join(piece.astype("<i2").tobytes() for piece in pieces)
     whole = content | {"points": base64.b64encode(points).decode()}
-    return f"window.{VARIABLE} = {json.dumps(whole, separators=(',', ':'))};\n", content
+    return f"window.{_VARIABLE} = {json.dumps(whole, separators=(',', ':'))};\n", content
 
 
 def forward_slider(states, steps, alpha_bars):

@@ -9,26 +9,26 @@ from pathlib import Path
 from inflate_lib import paths
 from inflate_lib.book.build import run_jupyter_book
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-APPLICATIONS = ("Chromium.app/Contents/MacOS/Chromium", "Google Chrome.app/Contents/MacOS/Google Chrome")  # macOS
-FLAGS = ("--headless=new", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars", "--no-first-run")
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+_APPLICATIONS = ("Chromium.app/Contents/MacOS/Chromium", "Google Chrome.app/Contents/MacOS/Google Chrome")  # macOS
+_FLAGS = ("--headless=new", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars", "--no-first-run")
 PATIENCE = 300_000  # milliseconds of the page's own clock that MathJax may take
 TIMEOUT = 1800  # seconds after which Chromium is ended
 
 
-def find_chromium() -> Path | None:
+def _find_chromium() -> Path | None:
     """The browser that ``INFLATE_CHROMIUM`` names, else a Chromium or Chrome where one is usually found, else None."""
     if named := os.environ.get("INFLATE_CHROMIUM"):
         found = shutil.which(named)
         if found is None:
             raise ValueError(f"INFLATE_CHROMIUM is {named}, which is no program")
         return Path(found)
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    applications = (Path("/Applications", name) for name in APPLICATIONS)
+    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
+    applications = (Path("/Applications", name) for name in _APPLICATIONS)
     return Path(found) if found else next((path for path in applications if path.is_file()), None)
 
 
-def sandbox_flags() -> list[str]:
+def _sandbox_flags() -> list[str]:
     """Chromium refuses to run as root with its sandbox."""
     return ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
 
@@ -41,20 +41,20 @@ def print_book() -> Path:
     RuntimeError
         There is no Chromium, Sphinx found something to complain about, or the browser wrote no PDF.
     """
-    chromium = find_chromium()
+    chromium = _find_chromium()
     if chromium is None:
         raise RuntimeError("no Chromium or Chrome found; install one (Debian: chromium), or set INFLATE_CHROMIUM to it")
     target = paths.BOOK / "_build" / "pdf" / "book.pdf"
     target.parent.mkdir(parents=True, exist_ok=True)
-    print_page(chromium, run_jupyter_book("singlehtml"), target)
+    _print_page(chromium, run_jupyter_book("singlehtml"), target)
     return target
 
 
-def print_page(chromium: Path, page: Path, target: Path) -> None:
+def _print_page(chromium: Path, page: Path, target: Path) -> None:
     """Print one HTML file, after its equations have been set, to a PDF file."""
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / "book.pdf"
-        words = [*FLAGS, *sandbox_flags(), f"--user-data-dir={folder}/profile", f"--virtual-time-budget={PATIENCE}"]
+        words = [*_FLAGS, *_sandbox_flags(), f"--user-data-dir={folder}/profile", f"--virtual-time-budget={PATIENCE}"]
         words += ["--no-pdf-header-footer", "--generate-pdf-document-outline"]
         words += [f"--print-to-pdf={draft}", page.resolve().as_uri()]
         try:

@@ -9,7 +9,7 @@ from inflate_lib import paths
 from inflate_lib.descriptors import DESCRIPTORS
 
 
-def renewed(text: str) -> str:
+def _renewed(text: str) -> str:
     """Markdown with its generated parts made anew.
 
     Raises
@@ -48,4 +48,4 @@ def results() -> str:
 
 if __name__ == "__main__":
     file = paths.ROOT / "README.md"
-    file.write_text(renewed(file.read_text(encoding="utf-8")), encoding="utf-8")
+    file.write_text(_renewed(file.read_text(encoding="utf-8")), encoding="utf-8")

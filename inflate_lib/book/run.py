@@ -34,9 +34,9 @@ from inflate_lib.models import RETRAIN
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.structures.sources import CHOSEN, resolve_source
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 #: loky replaces a worker that has grown by 300 MB, as one that trains a second model may, and says so with a warning.
-RESTARTED = "ignore:A worker stopped while some jobs were given to the executor:UserWarning"
+_RESTARTED = "ignore:A worker stopped while some jobs were given to the executor:UserWarning"
 _DATA = {"mnist": "MNIST", "digits": "the embedded digits"}
 
 
@@ -44,7 +44,7 @@ class RunError(RuntimeError):
     """A run, or a book, that cannot be made as things are."""
 
 
-class Stale(StrEnum):
+class _Stale(StrEnum):
     """Why a notebook has to run."""
 
     ABSENT = "It has not been executed yet."
@@ -79,18 +79,18 @@ class Job:
             stamp = notebook["metadata"]["inflate"]
             edited = stamp["cells"] != _content(notebook)
         except FileNotFoundError:
-            return Stale.ABSENT
+            return _Stale.ABSENT
         except (OSError, ValueError, KeyError, TypeError):
-            return Stale.FOREIGN
+            return _Stale.FOREIGN
         before, now = stamp["fingerprint"], self.fingerprint
         if before.get("profile") != now["profile"]:
-            return Stale.PROFILE.format(before.get("profile"))
+            return _Stale.PROFILE.format(before.get("profile"))
         if changed := [part for part in now if before.get(part) != now[part]]:
-            return Stale.CHANGED.format(", ".join(changed))
+            return _Stale.CHANGED.format(", ".join(changed))
         if edited:
-            return Stale.EDITED
+            return _Stale.EDITED
         gone = [file for file in stamp["published"] if not (paths.FIGURES / file).is_file()]
-        return Stale.INCOMPLETE.format((paths.FIGURES / gone[0]).relative_to(paths.ROOT)) if gone else ""
+        return _Stale.INCOMPLETE.format((paths.FIGURES / gone[0]).relative_to(paths.ROOT)) if gone else ""
 
 
 def executed_under(notebook: Path) -> dict[str, str] | None:
@@ -219,9 +219,9 @@ def _match(name: str, notebooks: list[Path]) -> Path:
 def _run(todo: list[Job], jobs: int, console: Console) -> dict[str, float]:
     """Execute the jobs; seconds by name. The first failure, Ctrl-C or a kill ends all that still run."""
     threads = str(max(1, (os.cpu_count() or 1) // jobs))
-    environment = {name: os.environ.get(name, threads) for name in THREADS}
+    environment = {name: os.environ.get(name, threads) for name in _THREADS}
     environment |= {"INFLATE_HOME": str(paths.ROOT), "INFLATE_CACHE": str(paths.CACHE), "PYTHONHASHSEED": "0"}
-    environment["PYTHONWARNINGS"] = ",".join(filter(None, [os.environ.get("PYTHONWARNINGS"), RESTARTED]))
+    environment["PYTHONWARNINGS"] = ",".join(filter(None, [os.environ.get("PYTHONWARNINGS"), _RESTARTED]))
     display = Bars(console) if console.is_terminal else Lines(console)
     seconds = {}
     with _kill_is_ctrl_c(), display, Kernels(environment) as kernels, ThreadPoolExecutor(jobs) as pool:

@@ -26,16 +26,16 @@ from inflate_lib.book.page import SOURCES
 from inflate_lib.book.profiles import ProfileError, load_profile
 from inflate_lib.book.run import executed_under
 
-HERO = "glance"  # published by notebooks/19_explorer.md
-EXPLORER = "explorer_data"  # likewise
-HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
-HERO_CAPTION = (
+_HERO = "glance"  # published by notebooks/19_explorer.md
+_EXPLORER = "explorer_data"  # likewise
+_HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
+_HERO_CAPTION = (
     "The pipeline at a glance, once per row: a wanted height; noise that a network turns into an image; the structure "
     "read from it, with wall and void; and that structure inflated, the wanted height dashed, the achieved one below."
 )
-TABLE = "tab-"  # how the name of a published table begins, for {numref}
-MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights
-NO_WEIGHTS = "No weights are committed at the moment: the models are trained when a notebook first needs them."
+_TABLE = "tab-"  # how the name of a published table begins, for {numref}
+_MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights
+_NO_WEIGHTS = "No weights are committed at the moment: the models are trained when a notebook first needs them."
 
 
 def badge(stamp: dict[str, str]) -> nodes.Node:
@@ -59,16 +59,16 @@ def footer(profile: str) -> str:
     return f"<p>Computed under the profile <strong>{profile}</strong> · commit {commit} · {today}</p>"
 
 
-def model_cards() -> list[Path]:
+def _model_cards() -> list[Path]:
     """The README of each folder in data/pretrained that has one."""
     return sorted(paths.PRETRAINED.glob("*/README.md"))
 
 
-class CaptionedTable(nodes.figure):
+class _CaptionedTable(nodes.figure):
     """A published table: a figure that counts as a table. Its caption stays put where the table scrolls."""
 
 
-class TableCaption(nodes.caption):
+class _TableCaption(nodes.caption):
     """The caption above a table, closed at its end; Sphinx leaves that of a figure open, for a legend."""
 
 
@@ -90,27 +90,27 @@ def _depart_table_caption(writer, node):
     writer.body.append("</p>\n</figcaption>\n")
 
 
-class CaptionTables(SphinxTransform):
+class _CaptionTables(SphinxTransform):
     """MyST-NB puts what a cell shows into a figure, if the cell names one: a name ``tab-…`` makes that a table."""
 
     default_priority = 500  # before Sphinx notes what can be referred to
 
     def apply(self):
         for figure in list(self.document.findall(nodes.figure)):
-            if not any(name.startswith(TABLE) for name in figure["names"]):
+            if not any(name.startswith(_TABLE) for name in figure["names"]):
                 continue
-            table = CaptionedTable("", **figure.attributes)
+            table = _CaptionedTable("", **figure.attributes)
             table["classes"] += ["captioned-table"]
             for part in figure.children:
                 if isinstance(part, nodes.caption):
-                    table.insert(0, TableCaption(part.rawsource, "", *part.children, **part.attributes))
+                    table.insert(0, _TableCaption(part.rawsource, "", *part.children, **part.attributes))
                 else:
                     table += part
             figure.replace_self(table)
             self.document.ids.update(dict.fromkeys(table["ids"], table))
 
 
-class PublicApi(Directive):
+class _PublicApi(Directive):
     """``.. public:: package``: what a package is for, the names that it hands on, and all its public modules."""
 
     required_arguments = 1
@@ -134,11 +134,11 @@ def _configure(app, config):
     stamps = [stamp for path in sorted(paths.EXECUTED.glob("*.ipynb")) if (stamp := executed_under(path))]
     profile = stamps[0]["profile"] if stamps else "none"
     config.html_theme_options = {**config.html_theme_options, "extra_footer": footer(profile)}
-    picture = Path(os.path.relpath(paths.FIGURES / profile / f"{HERO}.png", paths.BOOK))
-    caption = f"{HERO_CAPTION} Drawn from results of this book's run (profile {profile})."
-    hero = f"```{{figure}} {picture.as_posix()}\n:alt: {HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
+    picture = Path(os.path.relpath(paths.FIGURES / profile / f"{_HERO}.png", paths.BOOK))
+    caption = f"{_HERO_CAPTION} Drawn from results of this book's run (profile {profile})."
+    hero = f"```{{figure}} {picture.as_posix()}\n:alt: {_HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
     config.myst_substitutions = {**config.myst_substitutions, "hero": hero if (paths.BOOK / picture).is_file() else ""}
-    data = paths.FIGURES / profile / f"{EXPLORER}.js"
+    data = paths.FIGURES / profile / f"{_EXPLORER}.js"
     if data.is_file():
         config.html_static_path = [*config.html_static_path, str(data)]
 
@@ -164,12 +164,12 @@ def _let_wide_pictures_scroll(app, doctree):
 
 
 def _add_model_cards(app, docname, source):
-    if MODEL_CARDS not in source[0]:
+    if _MODEL_CARDS not in source[0]:
         return
-    for card in model_cards():
+    for card in _model_cards():
         app.env.note_dependency(str(card))
-    texts = [_one_level_down(card.read_text(encoding="utf-8")) for card in model_cards()]
-    source[0] = source[0].replace(MODEL_CARDS, "\n\n".join(texts or [NO_WEIGHTS]))
+    texts = [_one_level_down(card.read_text(encoding="utf-8")) for card in _model_cards()]
+    source[0] = source[0].replace(_MODEL_CARDS, "\n\n".join(texts or [_NO_WEIGHTS]))
 
 
 def _one_level_down(text: str) -> str:
@@ -199,10 +199,10 @@ def _leave_out_thebe(app, page, template, context, doctree):
 
 def setup(app):
     """Connect to Sphinx."""
-    app.add_enumerable_node(CaptionedTable, "table", html=(_visit_table, _depart_table))
-    app.add_node(TableCaption, html=(_visit_table_caption, _depart_table_caption))
-    app.add_transform(CaptionTables)
-    app.add_directive("public", PublicApi)
+    app.add_enumerable_node(_CaptionedTable, "table", html=(_visit_table, _depart_table))
+    app.add_node(_TableCaption, html=(_visit_table_caption, _depart_table_caption))
+    app.add_transform(_CaptionTables)
+    app.add_directive("public", _PublicApi)
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)
     app.connect("doctree-read", _add_badge)

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 #: In the order in which --help lists them.
-COMMANDS = ("reproduce", "book", "dataset", "simulate", "design", "train", "card", "info")
+_COMMANDS = ("reproduce", "book", "dataset", "simulate", "design", "train", "card", "info")
 
 app = typer.Typer(
     help="Inverse design of inflatable structures with denoising diffusion: the runnable companion of the paper.",
@@ -33,16 +33,16 @@ def main(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback
         os.environ["INFLATE_DEBUG"] = "1"
 
 
-def load_commands() -> typer.Typer:
+def _load_commands() -> typer.Typer:
     """The application with all its commands."""
-    for command in COMMANDS:
+    for command in _COMMANDS:
         import_module(f"inflate_lib.cli.{command}")
     return app
 
 
 def run() -> None:
     """Entry point: an error that the library foresaw is one clear message and exit code 1, not a traceback."""
-    load_commands()
+    _load_commands()
     try:
         app()
     except ModuleNotFoundError as error:  # SVG outlines and Dask name their extras themselves

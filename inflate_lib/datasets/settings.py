@@ -11,7 +11,7 @@ from inflate_lib.structures.labels import THRESHOLD, label_image
 
 
 @dataclass(frozen=True)
-class Setting:
+class _Setting:
     """What a simulation may be made with instead of the default."""
 
     threshold: float = THRESHOLD
@@ -22,17 +22,17 @@ class Setting:
 
 #: The calibration study: the default first, then one choice changed at a time.
 SETTINGS = (
-    Setting(),
-    Setting(threshold=0.4),
-    Setting(threshold=0.6),
-    Setting(pad=False),
-    Setting(element="q1"),
-    Setting(refine=2),
+    _Setting(),
+    _Setting(threshold=0.4),
+    _Setting(threshold=0.6),
+    _Setting(pad=False),
+    _Setting(element="q1"),
+    _Setting(refine=2),
 )
 
 
 def simulate_setting(images, setting, n_jobs=1):
-    """Height, width and hull area at full pressure, (n, 3), of images simulated with a `Setting`.
+    """Height, width and hull area at full pressure, (n, 3), of images simulated with a `_Setting`.
 
     One load step, since the end does not depend on their number. NaN where an image gives no structure (an unpadded
     wall may be open) or no equilibrium was found.

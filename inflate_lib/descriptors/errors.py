@@ -59,7 +59,7 @@ class PointDistance:
     limits, near = (0.25, 0.5, 1.0), 1
 
     def of(self, achieved, target):
-        return point_distances(achieved, target).mean(axis=-1)
+        return _point_distances(achieved, target).mean(axis=-1)
 
     def share(self, achieved, target):
         """Mean distance over the height of the shape that the target belongs to."""
@@ -74,9 +74,9 @@ class PointDistance:
         middle = np.broadcast_to(typical.mean(axis=0), typical.shape)
         return {
             self.name: (self.unit, distance),
-            "Hausdorff distance": (self.unit, hausdorff(np.nan_to_num(achieved), target)),
+            "Hausdorff distance": (self.unit, _hausdorff(np.nan_to_num(achieved), target)),
             "point distance / height": ("%", 100 * distance * PIXEL / _height(target)),
-            "point distance / spread": ("1", distance / point_distances(typical, middle).mean()),
+            "point distance / spread": ("1", distance / _point_distances(typical, middle).mean()),
         }
 
     def limit(self, value):
@@ -86,12 +86,12 @@ class PointDistance:
 RELATIVE, POINT_DISTANCE = RelativeError(), PointDistance()
 
 
-def point_distances(axes, others):
+def _point_distances(axes, others):
     """Distances of the points of medial axes from those of others, in pixels: (…, 60), (…, 60) → (…, 30)."""
     return _distances(axes, others) / PIXEL
 
 
-def hausdorff(axes, others):
+def _hausdorff(axes, others):
     """Hausdorff distances of medial axes as sets of points, pair by pair, in pixels: (n, 60), (n, 60) → (n,).
 
     The largest distance of any point of one axis from the nearest point of the other.

@@ -163,9 +163,9 @@ def register(descriptor: Descriptor) -> Descriptor:
     ValueError
         Where the name, or the variable of data sets, is one of the library's.
     """
-    if descriptor.name in OWN:
+    if descriptor.name in _OWN:
         raise ValueError(f"{descriptor.name} is a descriptor of the library's own; choose another name")
-    if descriptor.is_basic and descriptor.variable in TAKEN:
+    if descriptor.is_basic and descriptor.variable in _TAKEN:
         raise ValueError(f"descriptor {descriptor.name}: data sets have a variable {descriptor.variable} already")
     return _add(descriptor)
 
@@ -185,7 +185,7 @@ def added_version() -> str:
 
     It belongs into the keys of results that hold descriptors. It does not see a change of what ``measure`` calls.
     """
-    sources = [part for one in basic() if one.name not in OWN for part in (one.name, _source(one))]
+    sources = [part for one in basic() if one.name not in _OWN for part in (one.name, _source(one))]
     return digest(*sources)[:16] if sources else ""
 
 
@@ -322,9 +322,9 @@ _add(
 )
 _add(Descriptor("joint", "joint", parts=("height", "width", "area", "stress", "stretch", "axis"), any_part=True))
 
-OWN = frozenset(_registry)
+_OWN = frozenset(_registry)
 #: Variables of data sets that no further descriptor may have.
-TAKEN = frozenset(one.variable for one in basic()) | {
+_TAKEN = frozenset(one.variable for one in basic()) | {
     "image", "label", "converged", "reason", "factorisations", "self_contact", "contact_step", "level", "target",
     "valid", "axis",
 }  # fmt: skip

@@ -18,12 +18,12 @@ from inflate_lib._checks import choice
 from inflate_lib.diffusion.schedule import Schedule, at
 
 NATS_PER_BIT = math.log(2)
-OBJECTIVES = ("epsilon", "v")
+_OBJECTIVES = ("epsilon", "v")
 
 
 def check_objective(objective: str) -> None:
-    """Raise a ValueError unless ``objective`` is one of ``OBJECTIVES``."""
-    choice("objective", objective, OBJECTIVES)
+    """Raise a ValueError unless ``objective`` is one of ``_OBJECTIVES``."""
+    choice("objective", objective, _OBJECTIVES)
 
 
 # --- forward process ---------------------------------------------------------------------------------------------
@@ -126,7 +126,7 @@ def vlb_term(schedule: Schedule, x0: Tensor, x: Tensor, t: Tensor, noise: Tensor
     return torch.where(first, decoder_nll(x0, mean, variance), kl).flatten(1).mean(1)
 
 
-def variational_bound(schedule: Schedule, predict: Callable, x0: Tensor, generator=None) -> Tensor:
+def _variational_bound(schedule: Schedule, predict: Callable, x0: Tensor, generator=None) -> Tensor:
     """All terms of L_vlb (Eq. 13) for images x₀, in nats per pixel.
 
     Parameters

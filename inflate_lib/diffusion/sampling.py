@@ -18,10 +18,10 @@ from inflate_lib.diffusion.model import TrainedModel
 from inflate_lib.diffusion.schedule import Schedule, at
 from inflate_lib.diffusion.training import choose_device
 
-SAMPLERS = ("ancestral", "ddim", "dpm-solver++")
+_SAMPLERS = ("ancestral", "ddim", "dpm-solver++")
 
 
-def timesteps(T: int, steps: int) -> list[int]:
+def _timesteps(T: int, steps: int) -> list[int]:
     """Zero-based time steps of a sampler with ``steps`` steps, spaced evenly *down from the last*, T − 1.
 
     This is the spacing called "trailing": a sampler must begin where its input, pure noise, belongs.
@@ -59,7 +59,7 @@ def ddim_step(
     return stepped if noise is None or eta == 0 else stepped + variance.sqrt().item() * noise
 
 
-def dpm_solver_step(
+def _dpm_solver_step(
     schedule: Schedule, x0: Tensor, x: Tensor, t: int, previous: int, last: tuple[int, Tensor] | None
 ) -> Tensor:
     """Step of DPM-Solver++(2M) from time t to ``previous`` (Lu et al. 2022, algorithm 2).
@@ -109,8 +109,8 @@ def denoise(
     clip : bool
         Clip the estimates of x₀ to [−1, 1].
     """
-    choice("sampler", sampler, SAMPLERS)
-    times = timesteps(len(schedule), len(schedule) if sampler == "ancestral" else steps)
+    choice("sampler", sampler, _SAMPLERS)
+    times = _timesteps(len(schedule), len(schedule) if sampler == "ancestral" else steps)
     x, last = next(noise), None
     yield x
     for time, previous in zip(times, times[1:] + [-1], strict=True):
@@ -122,7 +122,7 @@ def denoise(
         elif sampler == "ddim":
             x = ddim_step(schedule, x0, x, time, previous, eta, next(noise) if eta > 0 else None)
         else:
-            x = dpm_solver_step(schedule, x0, x, time, previous, last)
+            x = _dpm_solver_step(schedule, x0, x, time, previous, last)
             last = time, x0
         yield x
 

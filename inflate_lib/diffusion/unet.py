@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from inflate_lib._checks import choice
 
-CONDITIONINGS = ("scale-shift", "add")
+_CONDITIONINGS = ("scale-shift", "add")
 
 
 def sinusoidal_embedding(t: Tensor, width: int) -> Tensor:
@@ -25,8 +25,8 @@ def sinusoidal_embedding(t: Tensor, width: int) -> Tensor:
 
 
 def check_conditioning(conditioning: str) -> None:
-    """Raise a ValueError unless ``conditioning`` is one of ``CONDITIONINGS``."""
-    choice("conditioning", conditioning, CONDITIONINGS)
+    """Raise a ValueError unless ``conditioning`` is one of ``_CONDITIONINGS``."""
+    choice("conditioning", conditioning, _CONDITIONINGS)
 
 
 def zero(layer: nn.Module) -> None:
@@ -64,7 +64,7 @@ class ResidualBlock(nn.Module):
         return self.shortcut(x) + self.conv2(F.silu(h))
 
 
-class Attention(nn.Module):
+class _Attention(nn.Module):
     """Self-attention among the pixels of the coarsest grid."""
 
     def __init__(self, channels: int, heads: int, groups: int):
@@ -146,7 +146,7 @@ class UNet(nn.Module):
         self.down_blocks = stages([(first, first), *pairs])
         self.downs = nn.ModuleList([nn.Conv2d(c, c, 3, stride=2, padding=1) for c in channels[:-1]])
         self.middle = nn.ModuleList([block(last, last), block(last, last)])
-        self.attention = Attention(last, max(1, last // 64), groups) if attention else nn.Identity()
+        self.attention = _Attention(last, max(1, last // 64), groups) if attention else nn.Identity()
         pairs.reverse()
         self.ups = nn.ModuleList([nn.Conv2d(coarse, fine, 3, padding=1) for fine, coarse in pairs])
         self.up_blocks = stages([(2 * last, last), *((2 * fine, fine) for fine, _ in pairs)])

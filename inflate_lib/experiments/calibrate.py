@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
     from inflate_lib.models import Model
 
-N_ASKED = 300  # structures drawn to fit g
+_N_ASKED = 300  # structures drawn to fit g
 
 
-def calibrate(model, data, n=N_ASKED, seed=0, descriptor=None, n_jobs=-1):
+def calibrate(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
     """Measure how a model answers, and fit its :class:`Calibration`. Parameters are those of :func:`answers`."""
     return Calibration.fit(*answers(model, data, n, seed, descriptor, n_jobs))
 
 
 def calibrate_all(
-    models: Mapping, data: "xr.Dataset", n: int = N_ASKED, seed: int = 0, n_jobs: int = -1
+    models: Mapping, data: "xr.Dataset", n: int = _N_ASKED, seed: int = 0, n_jobs: int = -1
 ) -> "dict[str, Model]":
     """The same models, name → :class:`inflate_lib.models.Model`, each calibrated; as they are where n is 0."""
     if n == 0:
@@ -36,7 +36,7 @@ def calibrate_all(
     }
 
 
-def answers(model, data, n=N_ASKED, seed=0, descriptor=None, n_jobs=-1):
+def answers(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
     """What a model answers to the descriptors of structures that it was trained on, told as they are.
 
     Parameters

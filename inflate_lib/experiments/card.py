@@ -22,9 +22,9 @@ from inflate_lib.models.weights import Model
 if TYPE_CHECKING:
     import xarray as xr
 
-SEED = 1  # of the choice of targets, and of the noise
+_SEED = 1  # of the choice of targets, and of the noise
 #: What a joint model is calibrated for.
-COMBINATIONS = [name_of(parts) for k in (1, 2, 3) for parts in combinations(SIZES, k)] + ["axis", *PHYSICAL]
+_COMBINATIONS = [name_of(parts) for k in (1, 2, 3) for parts in combinations(SIZES, k)] + ["axis", *PHYSICAL]
 
 _CARD = """# Weights of the profile `{profile}`
 
@@ -82,7 +82,7 @@ _MEASURES = {
 }
 
 
-def calibrate_weights(folder, data, recipe: Recipe, seed=SEED):
+def _calibrate_weights(folder, data, recipe: Recipe, seed=_SEED):
     """Measure how the models in a folder answer, and write what :func:`.weights.load_model` needs beside them.
 
     Into the header of each file go the recipe's sampling and the calibrations for it, and ``reach.npz`` beside them
@@ -118,7 +118,7 @@ def calibrate_weights(folder, data, recipe: Recipe, seed=SEED):
             raise ValueError(f"{file} was trained on other data: {trained.metadata.get('structures')} structures")
         model, found = Model(file.stem, trained, recipe.sampling), {}
         joint = get_descriptor(file.stem).any_part
-        for asked in COMBINATIONS if joint else (file.stem,):
+        for asked in _COMBINATIONS if joint else (file.stem,):
             with suppress(ValueError) if joint else nullcontext():
                 if recipe.n_calibration:
                     found[asked] = calibrate(model, data, recipe.n_calibration, seed, asked)
@@ -133,10 +133,10 @@ def calibrate_weights(folder, data, recipe: Recipe, seed=SEED):
     return models
 
 
-def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None = None, seed: int = SEED) -> Path:
+def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None = None, seed: int = _SEED) -> Path:
     """Measure the models in a folder on held-out targets, and write the card, ``README.md``, beside them.
 
-    They are calibrated first, see :func:`calibrate_weights`, whose parameters these are. The measured numbers also go
+    They are calibrated first, see :func:`_calibrate_weights`, whose parameters these are. The measured numbers also go
     into the header of each file, as ``metadata["metrics"]``. A joint model is asked for one descriptor after the other,
     and its metrics are those of each.
 
@@ -153,7 +153,7 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
         The card.
     """
     folder, training, accuracy = Path(folder), {}, {}
-    for name, model in calibrate_weights(folder, data, recipe, seed).items():
+    for name, model in _calibrate_weights(folder, data, recipe, seed).items():
         metrics, trained, joint = {}, model.trained, get_descriptor(name).any_part
         for asked in (*DESCRIPTORS, *PHYSICAL) if joint else (name,):
             targets, _ = held_out_targets(data, asked, model, n, seed)

@@ -124,7 +124,7 @@ def judge(
         taken, and it converged. Images that give no structure keep their row.
     """
     data = simulate.simulate_dataset(images, n_jobs=n_jobs, folder=folder)
-    whole = np.array([is_whole(image) for image in images])
+    whole = np.array([_is_whole(image) for image in images])
     return as_experiment(data, descriptor, targets, level, data["converged"].values & whole)
 
 
@@ -152,7 +152,7 @@ def check_targets(model, descriptor, targets, extrapolate=False):
     if targets.size == 0 or targets.size % components:
         raise ValueError(f"targets for {descriptor} must have shape (k, {components}), not {targets.shape}")
     targets = targets.reshape(-1, components)
-    low, high = target_range(model, descriptor)
+    low, high = _target_range(model, descriptor)
     fits = _fits(low, high, targets)
     outside = ~fits.all(axis=1)
     if outside.any():
@@ -170,10 +170,10 @@ def check_targets(model, descriptor, targets, extrapolate=False):
 
 def inside(model, descriptor, targets):
     """Which targets (k, N) lie within the range of the training data in every component, (k,) bool."""
-    return _fits(*target_range(model, descriptor), targets).all(axis=1)
+    return _fits(*_target_range(model, descriptor), targets).all(axis=1)
 
 
-def target_range(model, descriptor):
+def _target_range(model, descriptor):
     """Least and largest value of each component of a descriptor that a model was trained on, (N,) each."""
     if len(model.condition_min) == get_descriptor(descriptor).length:
         return model.condition_min, model.condition_max
@@ -211,7 +211,7 @@ def held_out_targets(
     return matrix[rows[:n]], rows[:n]
 
 
-def is_whole(image):
+def _is_whole(image):
     """Whether one connected piece holds nearly all bright pixels of a generated image."""
     bright = image > labels.THRESHOLD
     try:

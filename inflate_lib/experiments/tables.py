@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-class Failure(StrEnum):
+class _Failure(StrEnum):
     """Why a structure of an experiment is not valid."""
 
     BLANK = "The drawing is blank."
@@ -30,8 +30,8 @@ class Failure(StrEnum):
 
 
 #: How the reasons begin that a data set gives; the rest are the numbers of the structure at hand.
-FAILURES = {"image is blank": Failure.BLANK, "image has no digit": Failure.TOO_SMALL}
-FAILURES |= {"structure does not fit": Failure.TOO_LARGE, "no equilibrium": Failure.NO_EQUILIBRIUM}
+_FAILURES = {"image is blank": _Failure.BLANK, "image has no digit": _Failure.TOO_SMALL}
+_FAILURES |= {"structure does not fit": _Failure.TOO_LARGE, "no equilibrium": _Failure.NO_EQUILIBRIUM}
 
 
 def scores(
@@ -172,7 +172,7 @@ def failure_reasons(experiments: "Iterable[xr.Dataset]") -> pd.Series:
     Returns
     -------
     pandas.Series
-        :class:`Failure` → number, the most frequent first; empty where all are valid.
+        :class:`_Failure` → number, the most frequent first; empty where all are valid.
     """
     reasons = [reason for one in experiments for reason in one["reason"].values[~one["valid"].values]]
     return pd.Series([_failure(str(reason)) for reason in reasons], dtype=object).value_counts()
@@ -181,8 +181,8 @@ def failure_reasons(experiments: "Iterable[xr.Dataset]") -> pd.Series:
 def _failure(reason):
     """What kind of failure a reason tells of; a structure that could be inflated and yet is not valid has none."""
     if not reason:
-        return Failure.IN_PIECES
-    return next((kind for begin, kind in FAILURES.items() if reason.startswith(begin)), Failure.UNUSABLE)
+        return _Failure.IN_PIECES
+    return next((kind for begin, kind in _FAILURES.items() if reason.startswith(begin)), _Failure.UNUSABLE)
 
 
 def _mean(values):

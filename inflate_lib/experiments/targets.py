@@ -11,8 +11,8 @@ from inflate_lib.descriptors import get_descriptor
 
 LEVELS = ("low", "medium", "high")
 TABULATED = ("height", "width", "box", "area")  # in the paper's Table 1
-NEIGHBOURS = 20  # a medial axis is ordinary if it has this many others close by
-ORDINARY = 0.9  # share of the axes that count as ordinary
+_NEIGHBOURS = 20  # a medial axis is ordinary if it has this many others close by
+_ORDINARY = 0.9  # share of the axes that count as ordinary
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,10 @@ def choose_axes(axes: np.ndarray, n: int = 3) -> np.ndarray:
     n_axes = len(axes)
     if not 1 <= n <= n_axes:
         raise ValueError(f"n is {n}; from {n_axes} medial axes, 1 to {n_axes} can be chosen")
-    features = size_and_shape(axes)
-    neighbours = min(NEIGHBOURS, n_axes - 1)
+    features = _size_and_shape(axes)
+    neighbours = min(_NEIGHBOURS, n_axes - 1)
     remoteness = NearestNeighbors(n_neighbors=neighbours).fit(features).kneighbors()[0][:, -1] if neighbours else [0]
-    n_ordinary = max(n, int(np.ceil(ORDINARY * n_axes)))
+    n_ordinary = max(n, int(np.ceil(_ORDINARY * n_axes)))
     ordinary = np.sort(np.argsort(remoteness, kind="stable")[:n_ordinary])
     picks = [np.linalg.norm(features[ordinary], axis=1).argmax()]
     distance = np.full(n_ordinary, np.inf)
@@ -119,7 +119,7 @@ def choose_axes(axes: np.ndarray, n: int = 3) -> np.ndarray:
     return chosen[np.argsort(features[chosen, 0])]
 
 
-def size_and_shape(axes):
+def _size_and_shape(axes):
     """Medial axes as standardised features (m, 31): the height, and the 30 x-coordinates in units of that height.
 
     The height has variance 1 over the data, and so have the x-coordinates, all together.

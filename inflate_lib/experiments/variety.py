@@ -95,7 +95,7 @@ def pairwise(images, max_shift=MAX_SHIFT):
     return np.sqrt(least / flat.shape[1])
 
 
-def mean_pairwise(distances, rows=None):
+def _mean_pairwise(distances, rows=None):
     """Mean distance of pairs of different images, from :func:`pairwise`; `rows` may repeat some, for a bootstrap."""
     rows = np.arange(len(distances)) if rows is None else rows
     different = rows[:, None] != rows[None, :]
@@ -137,10 +137,10 @@ def diversity(
         row: dict[str, float] = {"target": int(level) + 1, "n": int(mine.sum())}
         for name, images in found.items():
             apart = pairwise(images) if len(images) > 1 else np.full((len(images), len(images)), np.nan)
-            row[name] = mean_pairwise(apart)
+            row[name] = _mean_pairwise(apart)
             low, high = (np.nan, np.nan)
             if len(images) > 1:
-                low, high = bootstrap(lambda r, d=apart: mean_pairwise(d, r), len(images), None, seed, n_resamples)
+                low, high = bootstrap(lambda r, d=apart: _mean_pairwise(d, r), len(images), None, seed, n_resamples)
             row |= {f"{name} low": float(low), f"{name} high": float(high)}
         rows.append(row | {"ratio": row["generated"] / row["data"]})
     return pd.DataFrame(rows)

@@ -19,7 +19,7 @@ from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, WALL, mai
 if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
 
-ROUNDING = 1e-9  # pixels; so that 2/28 is two pixels and not three
+_ROUNDING = 1e-9  # pixels; so that 2/28 is two pixels and not three
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,13 @@ class Constraints:
 
     def broken_by(self, label: np.ndarray) -> str:
         """Name of the first demand that a label image breaks, or an empty text."""
-        if self.max_material < PIXEL**2 * np.sum(label == WALL) * (1 - ROUNDING):
+        if self.max_material < PIXEL**2 * np.sum(label == WALL) * (1 - _ROUNDING):
             return "max_material"
-        if self.min_void > 0 and not wide_enough(label == VOID, pixels(self.min_void)):
+        if self.min_void > 0 and not _wide_enough(label == VOID, pixels(self.min_void)):
             return "min_void"
-        if self.symmetric and not is_symmetric(label):
+        if self.symmetric and not _is_symmetric(label):
             return "symmetric"
-        if self.keep_out is not None and np.any(label[rows_columns(self.keep_out)] != OUTSIDE):
+        if self.keep_out is not None and np.any(label[_rows_columns(self.keep_out)] != OUTSIDE):
             return "keep_out"
         return ""
 
@@ -110,17 +110,17 @@ def from_millimetres(size_mm, min_void=0.0, max_material=None, symmetric=False, 
 
 def pixels(length):
     """A length in pixels, rounded up to whole ones."""
-    return int(np.ceil(length * FRAME - ROUNDING))
+    return int(np.ceil(length * FRAME - _ROUNDING))
 
 
-def rows_columns(rectangle):
+def _rows_columns(rectangle):
     """Slices of a label image that hold every pixel which a rectangle (left, bottom, right, top) reaches into."""
     left, bottom, right, top = rectangle
-    columns = slice(max(int(np.floor(left * FRAME + ROUNDING)), 0), max(pixels(right), 0))
-    return slice(max(FRAME - pixels(top), 0), max(FRAME - int(np.floor(bottom * FRAME + ROUNDING)), 0)), columns
+    columns = slice(max(int(np.floor(left * FRAME + _ROUNDING)), 0), max(pixels(right), 0))
+    return slice(max(FRAME - pixels(top), 0), max(FRAME - int(np.floor(bottom * FRAME + _ROUNDING)), 0)), columns
 
 
-def wide_enough(void, width):
+def _wide_enough(void, width):
     """Whether a square of `width` pixels can be moved through all of a cavity (n, n) bool, its corners excepted.
 
     The places that such a square covers (the opening of the cavity) must hang together, and what they leave uncovered
@@ -133,7 +133,7 @@ def wide_enough(void, width):
     return one_piece and bool(np.all(ndimage.binary_dilation(covered, np.ones((3, 3), bool))[void]))
 
 
-def is_symmetric(label):
+def _is_symmetric(label):
     """Whether a label image is its own mirror image, about an axis anywhere."""
     columns = np.flatnonzero(np.any(label != OUTSIDE, axis=0))
     body = label[:, columns[0] : columns[-1] + 1]

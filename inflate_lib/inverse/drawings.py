@@ -8,13 +8,13 @@ from scipy import ndimage
 
 from inflate_lib._checks import positive_number
 
-MAX_SIZE = 2000  # pixels of a drawing, per side
+_MAX_SIZE = 2000  # pixels of a drawing, per side
 
 
 PIECES = 32  # straight pieces that stand for one curved segment of an SVG path
 
 
-OPEN = 0.01  # gap, relative to the size of a drawing, up to which it counts as closed
+_OPEN = 0.01  # gap, relative to the size of a drawing, up to which it counts as closed
 
 
 def read_outline(path: str | Path, unit: float) -> np.ndarray:
@@ -70,7 +70,7 @@ def _svg_points(path):
         straight = isinstance(segment, svgelements.Line | svgelements.Close)
         points += [segment.end] if straight else [segment.point(t) for t in np.arange(1, PIECES + 1) / PIECES]
     points = np.array([(point.x, point.y) for point in points], dtype=float)
-    if np.linalg.norm(points[-1] - points[0]) > OPEN * np.ptp(points, axis=0).max():
+    if np.linalg.norm(points[-1] - points[0]) > _OPEN * np.ptp(points, axis=0).max():
         raise ValueError(f"{path}: the outline is open; close it, so that it has an inside")
     return points[:-1]
 
@@ -82,8 +82,8 @@ def _picture_points(path):
     from inflate_lib.io.pictures import read_picture
 
     grey = np.asarray(read_picture(path))
-    if max(grey.shape) > MAX_SIZE:
-        raise ValueError(f"{path} is {grey.shape[1]} × {grey.shape[0]} pixels; {MAX_SIZE} per side are enough")
+    if max(grey.shape) > _MAX_SIZE:
+        raise ValueError(f"{path} is {grey.shape[1]} × {grey.shape[0]} pixels; {_MAX_SIZE} per side are enough")
     bright = grey > 127
     corners = bright[[0, 0, -1, -1], [0, -1, 0, -1]]
     if corners.any() != corners.all():

@@ -22,9 +22,9 @@ from inflate_lib.mechanics.contact import first_contact
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, label_image
 
-CROSS = ndimage.generate_binary_structure(2, 1)
-ORDERS = ("sensitivity", "random")
-LESS = 1e-3  # relative decrease of the largest error that a change must bring
+_CROSS = ndimage.generate_binary_structure(2, 1)
+_ORDERS = ("sensitivity", "random")
+_LESS = 1e-3  # relative decrease of the largest error that a change must bring
 
 
 class Rejection(StrEnum):
@@ -63,7 +63,7 @@ def attempt(image, constraints):
     if first_contact(result) is not None:
         return Rejection.CROSSING_WALLS, label, None
     if constraints.keep_out is not None:
-        shift = free_place(label, result, constraints)
+        shift = _free_place(label, result, constraints)
         if shift is None:
             return Rejection.KEEP_OUT, label, None
         if shift:
@@ -74,7 +74,7 @@ def attempt(image, constraints):
     return None, label, result
 
 
-def free_place(label, result, constraints):
+def _free_place(label, result, constraints):
     """The shortest shift, in pixels to the right, by which a structure keeps out of the forbidden region; or None."""
     columns = np.flatnonzero(np.any(label != OUTSIDE, axis=0))
     for shift in sorted(range(-columns[0], FRAME - columns[-1]), key=abs):
@@ -102,7 +102,7 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
     seed : int
         Of the order in which pixels are tried, as far as that is random.
     order : {"sensitivity", "random"}
-        First the pixels that promise to bring the structure nearest to its targets (:func:`most_promising`), or any.
+        First the pixels that promise to bring the structure nearest to its targets (:func:`_most_promising`), or any.
     trace : list, optional
         Filled with the largest error after each try.
 
@@ -113,12 +113,12 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
     flipped : list of (int, int)
         Row and column of the pixels, in order; with `symmetric`, each stands for its mirror image as well.
     """
-    choice("order", order, ORDERS)
+    choice("order", order, _ORDERS)
     rng, flipped, symmetric = np.random.default_rng(seed), [], constraints.symmetric
 
     def queue():
         pixels = rng.permutation(border(label))
-        return list(most_promising(pixels, label, result, targets, symmetric) if order == "sensitivity" else pixels)
+        return list(_most_promising(pixels, label, result, targets, symmetric) if order == "sensitivity" else pixels)
 
     best = max(deviations(targets, describe(result)).values())
     untried = queue() if best > goal else []
@@ -127,7 +127,7 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
         tries -= 1
         reason, changed, inflated = attempt(with_flipped(label, row, column, symmetric), constraints)
         error = np.inf if reason else max(deviations(targets, describe(inflated)).values())
-        if error <= best * (1 - LESS):
+        if error <= best * (1 - _LESS):
             label, result, best = changed, inflated, error
             flipped.append((row, column))
             untried = queue() if best > goal else []
@@ -136,12 +136,12 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
     return label, result, flipped
 
 
-def most_promising(pixels, label, result, targets, symmetric=False):
+def _most_promising(pixels, label, result, targets, symmetric=False):
     """`pixels` (k, 2) in the order of the largest error to expect where one is flipped, the smallest first.
 
     Height, width and area are expected to change as :func:`.mechanics.adjoint.flip_changes` says; all else, to stay.
     """
-    shape, mirror = describe(result), mirror_columns(label)
+    shape, mirror = describe(result), _mirror_columns(label)
     stays = [miss for name, miss in deviations(targets, shape).items() if name not in DIFFERENTIABLE]
     expected = np.full(len(pixels), max(stays, default=0.0))
     for name in (name for name in targets.asked if name in DIFFERENTIABLE):
@@ -156,18 +156,18 @@ def most_promising(pixels, label, result, targets, symmetric=False):
 def border(label):
     """(k, 2) rows and columns of the pixels on either side of the border of the cavity."""
     void = label == VOID
-    return np.argwhere(ndimage.binary_dilation(void, CROSS) & ~ndimage.binary_erosion(void, CROSS))
+    return np.argwhere(ndimage.binary_dilation(void, _CROSS) & ~ndimage.binary_erosion(void, _CROSS))
 
 
 def with_flipped(label, row, column, symmetric=False):
     """The cavity of a structure, (28, 28) bool, with one pixel flipped; where `symmetric`, with its mirror image."""
     void = label == VOID
-    mirror = mirror_columns(label)[column] if symmetric else column
+    mirror = _mirror_columns(label)[column] if symmetric else column
     void[row, [column, mirror]] = not void[row, column]
     return void
 
 
-def mirror_columns(label):
+def _mirror_columns(label):
     """(28,) the column that each column of a structure changes places with when it is mirrored where it stands."""
     columns = np.flatnonzero(np.any(label != OUTSIDE, axis=0))
     return columns[0] + columns[-1] - np.arange(FRAME)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from inflate_lib.inverse.search import Designs
 
 SIZE_MM, DEPTH_MM, BASE_MM = 100.0, 20.0, 3.0
-NOTCH = 0.05  # pixels
+_NOTCH = 0.05  # pixels
 
 
 def save_designs(
@@ -86,7 +86,7 @@ def save_designs(
             finally:
                 plt.close(fig)
             designs.table().to_csv(place / "designs.csv", index=False, float_format="%.8g")
-            _write_json(place / "designs.json", search_record(designs))
+            _write_json(place / "designs.json", _search_record(designs))
     except OSError as error:
         reason = f"{error.strerror or error}; no designs were written: make room, or give another folder"
         raise OSError(error.errno, reason, str(folder.absolute())) from error
@@ -109,7 +109,7 @@ def check_folder(folder, overwrite=False):
     return folder
 
 
-def search_record(designs):
+def _search_record(designs):
     """The search in plain values: targets, constraints, model, sampling, versions, counts; no times, no dates."""
     return {
         "targets": designs.targets.as_dict(),
@@ -139,9 +139,9 @@ def _told(reason):
     return {"reason": reason.name.lower(), "sentence": reason.value}
 
 
-def outline_svg(label, size_mm=SIZE_MM):
+def _outline_svg(label, size_mm=SIZE_MM):
     """SVG text of a structure's outline: one path for the wall, its cavity cut out; user units are millimetres."""
-    x, y, cells = opened_grid(label)
+    x, y, cells = _opened_grid(label)
     corners, quads = _corners(x, y), _quads(cells == WALL)
     points = size_mm * (corners * [1, -1] + [0, 1])  # y downwards
     parts = []
@@ -163,7 +163,7 @@ def mould(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM, base_mm=BASE_MM):
     points : (n, 3) float, mm
     triangles : (m, 3) int, counter-clockwise seen from outside
     """
-    x, y, cells = opened_grid(np.pad(label, 1))  # a rim of one pixel, so that the trough is closed on every side
+    x, y, cells = _opened_grid(np.pad(label, 1))  # a rim of one pixel, so that the trough is closed on every side
     scale = size_mm * (FRAME + 2) / FRAME
     height = np.where(cells == WALL, base_mm, base_mm + depth_mm)
     return solid(scale * x - size_mm / FRAME, scale * y - size_mm / FRAME, height)
@@ -171,11 +171,11 @@ def mould(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM, base_mm=BASE_MM):
 
 def part(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM):
     """The structure itself, its wall extruded, as a closed surface; see :func:`mould`."""
-    x, y, cells = opened_grid(label)
+    x, y, cells = _opened_grid(label)
     return solid(size_mm * x, size_mm * y, np.where(cells == WALL, depth_mm, 0.0))
 
 
-def opened_grid(label):
+def _opened_grid(label):
     """Grid lines x and y in [0, 1] and the labels of the cells between them, no two cells meeting at a corner only.
 
     The cells are the pixels, unless there are wall pixels that share a corner only: there four lines more make room
@@ -192,14 +192,14 @@ def opened_grid(label):
     a, b, c, d = wall[:-1, :-1], wall[:-1, 1:], wall[1:, :-1], wall[1:, 1:]
     pinched = np.argwhere((a == d) & (b == c) & (a != b)) + 1  # lattice points (row, column)
     lines = [
-        np.unique(np.r_[0 : size + 1, points - NOTCH, points + NOTCH]) for points in (pinched[:, 1], pinched[:, 0])
+        np.unique(np.r_[0 : size + 1, points - _NOTCH, points + _NOTCH]) for points in (pinched[:, 1], pinched[:, 0])
     ]
     x, y = lines
     middle_x, middle_y = (x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2
     cells = cells[np.ix_(middle_y.astype(int), middle_x.astype(int))]
     beside = {tuple(point): label_there for point, label_there in _not_wall(label, pinched)}
     for (row, column), other in beside.items():
-        near = np.ix_(np.abs(middle_y - row) < NOTCH, np.abs(middle_x - column) < NOTCH)
+        near = np.ix_(np.abs(middle_y - row) < _NOTCH, np.abs(middle_x - column) < _NOTCH)
         cells[near] = other
     return x / size, y / size, cells
 
@@ -246,7 +246,7 @@ def solid(x, y, height):
     return points[used], np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def write_stl(path, points, triangles):
+def _write_stl(path, points, triangles):
     """Write a surface as binary STL, in the unit of its points."""
     import meshio
 
@@ -257,9 +257,9 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
     folder.mkdir()
     Image.fromarray(np.round(254 * one.label).astype(np.uint8)).save(folder / "structure.png")
     pictures.write_picture(one.result, folder / "picture.png")
-    (folder / "outline.svg").write_text(outline_svg(one.label, size_mm), encoding="utf-8")
-    write_stl(folder / "mould.stl", *mould(one.label, size_mm, depth_mm))
-    write_stl(folder / "part.stl", *part(one.label, size_mm, depth_mm))
+    (folder / "outline.svg").write_text(_outline_svg(one.label, size_mm), encoding="utf-8")
+    _write_stl(folder / "mould.stl", *mould(one.label, size_mm, depth_mm))
+    _write_stl(folder / "part.stl", *part(one.label, size_mm, depth_mm))
     write_vtk(one.result, folder / "inflated.pvd")
     moose.write_case(one.result.mesh, folder / "moose", name)
     shape = one.shape
@@ -274,7 +274,7 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
         "candidate": one.candidate,
         "origin": one.origin,
         "millimetres": {"frame": size_mm, "depth": depth_mm, "base of the mould": BASE_MM},
-        "search": search_record(designs),
+        "search": _search_record(designs),
     }
     _write_json(folder / "design.json", record)
 

@@ -36,11 +36,11 @@ from inflate_lib.structures.labels import FRAME, OUTSIDE
 if TYPE_CHECKING:
     import xarray as xr
 
-PREFERENCES = ("low-stress", "high-stress")
+_PREFERENCES = ("low-stress", "high-stress")
 BATCH = 64  # candidates
 NEAR, INSIDE = 3, 0.5  # misses of up to 3 times the tolerance are refined, until they are at half of it
-SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
-WEIGHTS = ("paper", "laptop", "ci")  # folders of data/pretrained, in the order in which they are looked into
+_SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
+_WEIGHTS = ("paper", "laptop", "ci")  # folders of data/pretrained, in the order in which they are looked into
 
 
 class Stop(StrEnum):
@@ -170,7 +170,7 @@ def design(
     n : int
         Number of designs.
     model : Model, optional
-        It draws with its own sampling. By default :func:`find_model`.
+        It draws with its own sampling. By default :func:`_find_model`.
     profile : str, optional
         Take the weights of this profile only.
     data : xarray.Dataset, optional
@@ -206,14 +206,14 @@ def design(
     targets, constraints = as_targets(targets), constraints or Constraints()
     _check(n, tolerance, prefer, seed, seconds, max_candidates, refine)
     _check_symmetric(targets, constraints, tolerance)
-    model = model or find_model(targets, profile)
+    model = model or _find_model(targets, profile)
     _check_model(model, targets)
     check_reach(targets.vectors, model.reach if data is None else data)
     about, sampling = _about(model), dict(model.sampling)
     found = Designs([], [], targets, constraints, tolerance, n, prefer, seed, about, sampling)
     wanted, best, seen, clock = targets.vector(model.name), [], set(), Counter()
     aim = np.clip(wanted, model.trained.condition_min, model.trained.condition_max)
-    enough = n * SURPLUS * (2 if prefer else 1)
+    enough = n * _SURPLUS * (2 if prefer else 1)
     started, longest = time.monotonic(), 0.0
     while not found.stopped:
         begun = time.monotonic()
@@ -225,7 +225,7 @@ def design(
         new = _verified(images, batch, found, seen, n_jobs)
         found.tried += size
         if new:
-            aim = corrected(aim, wanted, [one.shape.vector(model.name) for one in new], model.trained)
+            aim = _corrected(aim, wanted, [one.shape.vector(model.name) for one in new], model.trained)
         new = _refined(new, found, seen, refine, n_jobs)
         now = time.monotonic()
         clock += Counter(generating=drawn - begun, inflating=now - drawn)
@@ -247,7 +247,7 @@ def design(
     return found
 
 
-def find_model(targets, profile=None):
+def _find_model(targets, profile=None):
     """The model to design with.
 
     That is the model of a single descriptor, or of the box, that takes most of what is asked: the rest hangs together
@@ -265,14 +265,14 @@ def find_model(targets, profile=None):
     singles = [one.name for one in models_in_order() if set(one.parts) <= asked]
     fitting = singles if not asked & set(PHYSICAL) else []
     fitting += [JOINT] if asked & set(PARTS) else []
-    for folder in (profile,) if profile else WEIGHTS:
+    for folder in (profile,) if profile else _WEIGHTS:
         for name in fitting:
             if (paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
                 return load_model(name, folder)
     if fitting == [JOINT]:
         raise _no_joint_model(targets)
     single = singles[0]
-    recipe = load_recipe(profile or WEIGHTS[-1])
+    recipe = load_recipe(profile or _WEIGHTS[-1])
     data = simulated_sevens(recipe.source, recipe.n_structures)
     return trained_models([single], recipe, data)[single]
 
@@ -283,7 +283,7 @@ def models_in_order():
     return sorted(own, key=lambda one: -one.length)
 
 
-def corrected(aim, wanted, achieved, model):
+def _corrected(aim, wanted, achieved, model):
     """Conditions for the next batch: moved against the median miss of this one, so that the middle of the next hits.
 
     Kept within the range that the model was trained on.
@@ -301,7 +301,7 @@ def choose(pool: list[Design], n: int, prefer: str | None = None) -> list[Design
     if prefer:
         within.sort(key=lambda one: one.shape.peak_stress, reverse=prefer == "high-stress")
         within = within[: max(n, len(within) // 2)]
-    chosen = [within[i] for i in diverse([one.label for one in within], n)]
+    chosen = [within[i] for i in _diverse([one.label for one in within], n)]
     if prefer:
         chosen.sort(key=lambda one: one.shape.peak_stress, reverse=prefer == "high-stress")
     else:
@@ -309,7 +309,7 @@ def choose(pool: list[Design], n: int, prefer: str | None = None) -> list[Design
     return chosen + [one for one in pool if not one.within][: n - len(chosen)]
 
 
-def diverse(labels, n):
+def _diverse(labels, n):
     """Row numbers of `n` label images that differ from one another (greedy max–min), the first image among them.
 
     Two images differ by the share of the pixels of both, middle laid on middle, that are not the same.
@@ -394,7 +394,7 @@ def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
     positive_number("tolerance", tolerance)
     positive_number("seconds", seconds, finite=False)
     if prefer is not None:
-        choice("prefer", prefer, PREFERENCES)
+        choice("prefer", prefer, _PREFERENCES)
 
 
 def _check_model(model, targets):

@@ -18,7 +18,7 @@ from inflate_lib.inverse.drawings import read_outline
 from inflate_lib.mechanics import contact
 from inflate_lib.models.reach import AGREE, SIZES
 
-NUMBERS = (*SIZES, *PHYSICAL)
+_NUMBERS = (*SIZES, *PHYSICAL)
 
 
 @dataclass(frozen=True)
@@ -51,20 +51,20 @@ class Targets:
 
     def __post_init__(self):
         object.__setattr__(self, "others", {name: _vector(name, value) for name, value in self.others.items()})
-        for name in NUMBERS:
+        for name in _NUMBERS:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, float(positive_number(name, getattr(self, name))))
         if self.stretch is not None and self.stretch < 1:
             raise ValueError(f"stretch is the largest ratio of lengths, at least 1, not {self.stretch:g}")
         if self.axis is not None:
-            object.__setattr__(self, "axis", check_axis(self.axis))
+            object.__setattr__(self, "axis", _check_axis(self.axis))
         if not self.asked:
-            raise ValueError(f"nothing is asked for: give {', '.join(NUMBERS)}, an axis or an outline, one at least")
+            raise ValueError(f"nothing is asked for: give {', '.join(_NUMBERS)}, an axis or an outline, one at least")
 
     @property
     def asked(self) -> tuple[str, ...]:
         """Names of the descriptors that are asked for."""
-        return (*(name for name in (*NUMBERS, "axis") if getattr(self, name) is not None), *self.others)
+        return (*(name for name in (*_NUMBERS, "axis") if getattr(self, name) is not None), *self.others)
 
     @property
     def vectors(self) -> dict[str, np.ndarray]:
@@ -117,10 +117,10 @@ def as_targets(targets):
     physical = {name: given.pop(name) for name in PHYSICAL if name in given}
     if len(given) > 1:
         raise ValueError("an outline gives height, width, area and axis: leave the others out")
-    return replace(outline_targets(given["outline"]), **physical, others=others)
+    return replace(_outline_targets(given["outline"]), **physical, others=others)
 
 
-def outline_targets(points):
+def _outline_targets(points):
     """Targets that a closed outline stands for: its height, width, hull area and medial axis.
 
     All descriptors look at the convex hull only, so that a dent in the outline is not asked for.
@@ -160,7 +160,7 @@ def read_targets(
 ) -> Targets:
     """Targets from numbers and files; None where not asked for.
 
-    See :func:`read_axis` and :func:`inflate_lib.inverse.drawings.read_outline`.
+    See :func:`_read_axis` and :func:`inflate_lib.inverse.drawings.read_outline`.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def read_targets(
         Where a file is no such file, where nothing is asked for, or more than an outline leaves open.
     """
     given: dict[str, Any] = {"height": height, "width": width, "area": area, "stress": stress, "stretch": stretch}
-    given["axis"] = None if axis is None else read_axis(axis)
+    given["axis"] = None if axis is None else _read_axis(axis)
     given["outline"] = None if outline is None else read_outline(outline, unit)
     try:
         return as_targets(given)
@@ -177,7 +177,7 @@ def read_targets(
         raise ValueError(f"{where}{error}") from None
 
 
-def check_axis(points):
+def _check_axis(points):
     """A medial axis (30, 2) from points, or a ValueError.
 
     Thirty points at equal increments of height are taken as they are (the thirtieth lies one increment below the top,
@@ -198,13 +198,13 @@ def check_axis(points):
     return np.column_stack([np.interp(y, points[:, 1], points[:, 0]), y])
 
 
-def read_axis(path):
+def _read_axis(path):
     """Medial axis (30, 2) from a CSV file: two columns x, y, with or without a heading, in lengths of the unit square.
 
     Raises
     ------
     ValueError
-        Naming the file and the line, where it is something else; see also :func:`check_axis`.
+        Naming the file and the line, where it is something else; see also :func:`_check_axis`.
     """
     path = Path(path)
     try:
@@ -222,7 +222,7 @@ def read_axis(path):
             raise ValueError(f"{path}, line {number}: two numbers x,y are needed, not {','.join(row)!r}") from None
         points.append((x, y))
     try:
-        return check_axis(np.reshape(points, (-1, 2)))
+        return _check_axis(np.reshape(points, (-1, 2)))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from inflate_lib.mechanics.mesh import Mesh
 
 #: Programs that contain MOOSE's solid mechanics, in the order in which they are looked for.
-PROGRAMS = ("solid_mechanics-opt", "combined-opt")
+_PROGRAMS = ("solid_mechanics-opt", "combined-opt")
 
 _INPUT = """\
 # Inflation of a soft structure: plane strain, neo-Hookean, pressure that follows the wall.
@@ -144,7 +144,7 @@ _INPUT = """\
 """
 
 
-def input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
+def _input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
     """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`."""
     choice("element", element, ELEMENTS)
     lam, mu = (float(value) for value in lame)
@@ -184,17 +184,17 @@ def write_case(mesh: "Mesh", folder: str | Path, name: str = "inflation", **para
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.i", folder / f"{name}.e"]
-    files[0].write_text(input_text(name, **parameters), encoding="utf-8")
+    files[0].write_text(_input_text(name, **parameters), encoding="utf-8")
     _exodus.write_mesh(mesh, files[1])
     return files
 
 
-def find_program():
+def _find_program():
     """Path of a MOOSE program, or a RuntimeError that says which are looked for."""
-    for name in PROGRAMS:
+    for name in _PROGRAMS:
         if found := shutil.which(name):
             return found
-    raise RuntimeError(f"MOOSE is not here: neither {' nor '.join(PROGRAMS)} is on the PATH")
+    raise RuntimeError(f"MOOSE is not here: neither {' nor '.join(_PROGRAMS)} is on the PATH")
 
 
 def run_case(result: "Inflation", input_file: str | Path, time_limit: float = 600.0) -> "Inflation":
@@ -225,7 +225,7 @@ def run_case(result: "Inflation", input_file: str | Path, time_limit: float = 60
     input_file = Path(input_file)
     output = input_file.with_name(f"{input_file.stem}_out.e")
     output.unlink(missing_ok=True)  # an older run must not pass for this one
-    command = [find_program(), "-i", input_file.name]
+    command = [_find_program(), "-i", input_file.name]
     with subprocess.Popen(
         command, cwd=input_file.parent, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         text=True, errors="replace", start_new_session=True,

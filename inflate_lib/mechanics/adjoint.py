@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
 
 DIFFERENTIABLE = ("height", "width", "area")  # descriptors that have a sensitivity here
-SQUARE = np.ones((2 * THICKNESS + 1, 2 * THICKNESS + 1))  # that the cavity is grown by to get the wall
+_SQUARE = np.ones((2 * THICKNESS + 1, 2 * THICKNESS + 1))  # that the cavity is grown by to get the wall
 
 
 def sensitivities(result: "Inflation", name: str, step: int = -1) -> np.ndarray:
@@ -54,7 +54,7 @@ def sensitivities(result: "Inflation", name: str, step: int = -1) -> np.ndarray:
     deformed = result.deformed(step)
     if not np.isfinite(deformed).all():
         raise ValueError(f"the structure has no equilibrium to differentiate: {result.reason}")
-    load = descriptor_gradient(deformed, name)
+    load = _descriptor_gradient(deformed, name)
     system = build_system(result.mesh, result.element, result.lame)
     state = assemble(system, deformed, result.pressures[step])
     if _kernels.factorise(system.pattern, state.tangent, state.inverses) < len(system.order):
@@ -71,12 +71,12 @@ def sensitivities(result: "Inflation", name: str, step: int = -1) -> np.ndarray:
     return -np.sum(adjoint * forces, axis=(1, 2))
 
 
-def descriptor_gradient(nodes, name):
+def _descriptor_gradient(nodes, name):
     """∂h/∂x, (n, 2), of the descriptor of deformed nodes. Extents follow the two nodes in which they are attained."""
     gradient = np.zeros_like(nodes)
     if name == "area":
         hull = ConvexHull(nodes).vertices
-        gradient[hull] = area_gradient(nodes[hull])
+        gradient[hull] = _area_gradient(nodes[hull])
     elif name in DIFFERENTIABLE:
         direction = 1 if name == "height" else 0
         gradient[nodes[:, direction].argmax(), direction] = 1
@@ -86,7 +86,7 @@ def descriptor_gradient(nodes, name):
     return gradient
 
 
-def area_gradient(corners):
+def _area_gradient(corners):
     """Derivative of the area of polygons (…, k, 2), counter-clockwise, with respect to their corners."""
     across = (np.roll(corners, -1, axis=-2) - np.roll(corners, 1, axis=-2)) / 2
     return np.stack([across[..., 1], -across[..., 0]], axis=-1)
@@ -115,7 +115,7 @@ def flip_changes(label, sensitivity):
     change = np.zeros(label.shape)
     change[wall] = sensitivity
     change = change[nearest]
-    covers = ndimage.convolve(cavity.astype(float), SQUARE, mode="constant")  # void pixels that make this one a wall
-    gained = ndimage.convolve(change * (covers < 0.5), SQUARE, mode="constant")
-    lost = ndimage.convolve(change * (wall & (covers < 1.5)), SQUARE, mode="constant")
+    covers = ndimage.convolve(cavity.astype(float), _SQUARE, mode="constant")  # void pixels that make this one a wall
+    gained = ndimage.convolve(change * (covers < 0.5), _SQUARE, mode="constant")
+    lost = ndimage.convolve(change * (wall & (covers < 1.5)), _SQUARE, mode="constant")
     return np.where(cavity, change - lost, gained - change)

@@ -32,9 +32,9 @@ from inflate_lib.mechanics.mesh import Mesh, build_mesh, check_mesh
 PRESSURE = 0.01  # internal pressure at t = 1: p(t) = PRESSURE · t
 ELEMENTS = ("mean-dilatation", "q1")
 
-FACTORISATIONS = 1000, 100  # allowed in all, or per load step if that is more; MNIST's sevens take at most 228 in ten
-SPEED = 1.25e9  # multiply-adds per second of the nominal core that turns a time limit into a number of factorisations
-ASSEMBLY = 300  # multiply-adds per element and factorisation
+_FACTORISATIONS = 1000, 100  # allowed in all, or per load step if that is more; MNIST's sevens take at most 228 in ten
+_SPEED = 1.25e9  # multiply-adds per second of the nominal core that turns a time limit into a number of factorisations
+_ASSEMBLY = 300  # multiply-adds per element and factorisation
 
 _GAUSS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / np.sqrt(3)
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -140,7 +140,7 @@ def inflate(
     clamped : {"bottom", "left", "top", "right"}
         Edge of the image that is held; a mesh has its own. Make the label image with the same edge.
     time_limit : float, optional
-        Seconds after which to give up, counted on a nominal core of `SPEED`: it becomes a number of factorisations,
+        Seconds after which to give up, counted on a nominal core of `_SPEED`: it becomes a number of factorisations,
         from the size of the mesh, so that the outcome depends neither on the machine nor on its load.
 
     Returns
@@ -164,7 +164,7 @@ def inflate(
 
     system = build_system(mesh, element, (lam, mu))
     n_steps = len(pressures)
-    allowed, limit = max(FACTORISATIONS[0], FACTORISATIONS[1] * n_steps), ""
+    allowed, limit = max(_FACTORISATIONS[0], _FACTORISATIONS[1] * n_steps), ""
     if time_limit is not None and time_limit < allowed * nominal_seconds(system):
         allowed, limit = int(time_limit / nominal_seconds(system)), f", the time limit of {time_limit:g} s"
     positions, reached, factorisations, turned_over = _kernels.march(
@@ -213,7 +213,7 @@ def load_history(pressure, n_steps=None):
 
 def nominal_seconds(system):
     """Seconds that one factorisation of a system's tangent, assembled and used, takes on the nominal core."""
-    return (system.pattern.multiplications + ASSEMBLY * len(system.cells)) / SPEED
+    return (system.pattern.multiplications + _ASSEMBLY * len(system.cells)) / _SPEED
 
 
 def check_steps(n_steps):

@@ -60,7 +60,7 @@ def build_mesh(label: np.ndarray, refine: int = 1, clamped: str = "bottom") -> M
         Where the labels are no label image, nothing is clamped, the wall falls into several pieces, or the cavity is
         missing or open.
     """
-    label = check_label(label, clamped)
+    label = _check_label(label, clamped)
     whole_number("refine", refine, 1)
     label = np.kron(label, np.ones((refine, refine))) if refine > 1 else label
     size = len(label)
@@ -105,7 +105,7 @@ def check_mesh(mesh):
     return mesh
 
 
-def check_label(label, clamped="bottom"):
+def _check_label(label, clamped="bottom"):
     """Return `label` as a float array, or raise a ValueError that says why it cannot be inflated."""
     turns = turns_to_bottom(clamped)
     try:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-VARIANCE = 0.99  # share of the descriptors' variance in the directions in which a model is calibrated
-LEAST_SLOPE = 0.5  # below it, inverting g more than doubles what is asked for, far outside the data
+_VARIANCE = 0.99  # share of the descriptors' variance in the directions in which a model is calibrated
+_LEAST_SLOPE = 0.5  # below it, inverting g more than doubles what is asked for, far outside the data
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Calibration:
         mean = targets.mean(axis=0)
         _, spread, directions = np.linalg.svd(targets - mean, full_matrices=False)
         share = np.cumsum(spread**2) / max(np.sum(spread**2), np.finfo(float).tiny)
-        most = targets.shape[1] if targets.shape[1] <= 2 else int(np.searchsorted(share, VARIANCE)) + 1
+        most = targets.shape[1] if targets.shape[1] <= 2 else int(np.searchsorted(share, _VARIANCE)) + 1
         if len(targets) <= most + 1:
             raise ValueError(f"a calibration in {most} directions needs more than {len(targets)} structures")
         for k in range(most, 0, -1):
@@ -55,7 +55,7 @@ class Calibration:
             coefficients = np.linalg.lstsq(np.c_[np.ones(len(asked)), asked], got, rcond=None)[0]
             offset, slope = coefficients[0], coefficients[1:].T
             weakest = np.linalg.svd(slope, compute_uv=False).min()
-            if weakest >= LEAST_SLOPE:
+            if weakest >= _LEAST_SLOPE:
                 return cls(mean, chosen, offset, slope)
         raise ValueError(
             f"the model hardly follows its descriptor (slope {weakest:.2f} of achieved on wanted): train it longer, "

@@ -13,7 +13,7 @@ from inflate_lib.descriptors import PARTS, axis_height, basic, descriptor_matrix
 
 FILE = "reach.npz"  # beside the weights
 AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
-REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
+_REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
 SIZES = ("height", "width", "area")  # what an axis also says something about
 
 
@@ -71,14 +71,14 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
     values = {name: descriptor_matrix(data, name) for name in wanted}
     with np.errstate(divide="ignore", invalid="ignore"):  # a target of zero is infinitely far from everything
         miss = np.max([get_descriptor(name).error.share(values[name], wanted[name]) for name in wanted], axis=0)
-        problem = contradiction(wanted)
+        problem = _contradiction(wanted)
     nearest = int(np.argmin(miss))
     scalars = [one.name for one in basic() if one.name in wanted and one.length == 1]
     for name in scalars:
         value, least, most = wanted[name][0], values[name].min() * (1 - AGREE), values[name].max() * (1 + AGREE)
         if not problem and not least <= value <= most:
             problem = f"{name} {value:.4g} is out of reach"
-    if not problem and miss[nearest] > REACH:
+    if not problem and miss[nearest] > _REACH:
         together = "together they" if scalars or len(wanted) > 1 else f"the {next(iter(wanted))}"
         problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
     if not problem:
@@ -100,7 +100,7 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
     )
 
 
-def contradiction(wanted: Mapping[str, np.ndarray]) -> str:
+def _contradiction(wanted: Mapping[str, np.ndarray]) -> str:
     """Why no shape at all can meet what :func:`check_reach` takes, or an empty text."""
     height, width, area = (wanted[name][0] if name in wanted else np.nan for name in SIZES)
     if "axis" in wanted:

@@ -29,8 +29,8 @@ from inflate_lib.descriptors import get_descriptor
 if TYPE_CHECKING:
     from inflate_lib.diffusion import TrainingConfig
 
-INTERACTIVE = "interactive"  # profile of a notebook that was opened by hand
-ITS_RECIPE = "ci"  # the profile whose recipe it has
+_INTERACTIVE = "interactive"  # profile of a notebook that was opened by hand
+_ITS_RECIPE = "ci"  # the profile whose recipe it has
 #: What is checked of each option of sampling; `generate` itself checks the rest.
 SAMPLING = {
     "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
@@ -133,7 +133,7 @@ class Recipe:
         return TrainingConfig.from_dict(options)
 
 
-def load_recipe(profile: str = INTERACTIVE, folder: Path | None = None) -> Recipe:
+def load_recipe(profile: str = _INTERACTIVE, folder: Path | None = None) -> Recipe:
     """The recipe of a profile, by its name; that of a notebook opened by hand is that of the profile ``ci``.
 
     Raises
@@ -141,7 +141,7 @@ def load_recipe(profile: str = INTERACTIVE, folder: Path | None = None) -> Recip
     ValueError
         There is no such profile, with those that there are; or its recipe is none. The message names the file.
     """
-    content, path = read_profile(ITS_RECIPE if profile == INTERACTIVE else profile, folder)
+    content, path = read_profile(_ITS_RECIPE if profile == _INTERACTIVE else profile, folder)
     try:
         return Recipe.from_dict(content.get("recipe") if isinstance(content, Mapping) else content)
     except ValueError as error:

@@ -66,7 +66,7 @@ def write_pack(
     _storage.write(path, "pack", tensors, content)
 
 
-def train_pack(path: Path, name: str, out: Path, device: str = "auto", compile: bool = False, threads=None) -> Path:
+def _train_pack(path: Path, name: str, out: Path, device: str = "auto", compile: bool = False, threads=None) -> Path:
     """Train one model of a pack; the checkpoints and the log are kept in ``out/checkpoints/<name>``.
 
     Returns
@@ -114,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         jobs = max(1, given.jobs or min(len(names), 1 if alone else cores))
         threads = given.threads or max(1, cores // jobs)
         if len(names) == 1:
-            print(train_pack(given.pack, names[0], given.out, given.device, given.compile, threads), flush=True)
+            print(_train_pack(given.pack, names[0], given.out, given.device, given.compile, threads), flush=True)
             return
     except (ValueError, RuntimeError, OSError, FloatingPointError) as error:
         sys.exit(f"inflate: {error}")

@@ -52,7 +52,7 @@ def plot_designs(designs, columns=6, colour=None):
         draw_label(above, one.label)
         above.set_title(f"{number + 1}" + ("" if one.within else "  (missed)"), loc="left")
         draw_inflated(below, one.result, ghost=False, **style)
-        draw_targets(below, designs.targets, nodes)
+        _draw_targets(below, designs.targets, nodes)
         middle = (nodes[:, 0].min() + nodes[:, 0].max()) / 2
         bottom = min(nodes[:, 1].min(), 0) - 0.08
         below.set(xlim=(middle - wide / 2, middle + wide / 2), ylim=(bottom, tall))
@@ -64,7 +64,7 @@ def plot_designs(designs, columns=6, colour=None):
     return fig
 
 
-def draw_targets(ax, targets, nodes):
+def _draw_targets(ax, targets, nodes):
     """What was asked for, drawn over an inflated structure with deformed nodes (n, 2).
 
     An outline as it is, in place of the sizes that were measured on it; else each as its descriptor says: height and

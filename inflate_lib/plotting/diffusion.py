@@ -7,10 +7,10 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 from inflate_lib.plotting.style import COLOURS, LINE_STYLES, figure, picture_axes
 
-FIVE_STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)))
+_FIVE_STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)))
 
 
-def plot_strip(images, titles, low=0.0, high=1.0):
+def _plot_strip(images, titles, low=0.0, high=1.0):
     """Grey images side by side.
 
     Parameters
@@ -31,7 +31,7 @@ def plot_strip(images, titles, low=0.0, high=1.0):
 
 def plot_noising(images, steps: Sequence[int]):
     """States of the forward process in [−1, 1] (k, h, w), after so many noising steps each."""
-    return plot_strip(images, [f"$t = {t}$" for t in steps], low=-1.0)
+    return _plot_strip(images, [f"$t = {t}$" for t in steps], low=-1.0)
 
 
 def plot_denoising(states, steps: Sequence[int]):
@@ -40,7 +40,7 @@ def plot_denoising(states, steps: Sequence[int]):
     ``states[k]`` is the image (h, w) after k steps, on the [0, 1] scale of the images, as the ``trajectory`` of
     ``generate`` holds them.
     """
-    return plot_strip([states[step] for step in steps], [f"step {step}" for step in steps])
+    return _plot_strip([states[step] for step in steps], [f"step {step}" for step in steps])
 
 
 def plot_schedules(schedules: Mapping[str, object]):
@@ -119,7 +119,7 @@ def plot_losses(histories: Mapping[str, Mapping[str, list]]):
     panels = (("simple", r"$L_{simple}$"), ("vlb", r"$L_{vlb}$ (nats per pixel)"))
     for i, (name, history) in enumerate(histories.items()):
         for ax, (key, _) in zip(axes, panels, strict=True):
-            ax.semilogy(history["step"], history[key], linestyle=FIVE_STYLES[i % 5], label=name)
+            ax.semilogy(history["step"], history[key], linestyle=_FIVE_STYLES[i % 5], label=name)
     for ax, (_, label) in zip(axes, panels, strict=True):
         ax.set(xlabel="training step", ylabel=label)
     axes[0].legend()

@@ -6,14 +6,14 @@ from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.plotting.style import COLOURS, figure, picture_axes
 
-STYLES = {
+_STYLES = {
     "height": ("-", "o", COLOURS.wall),
     "width": ("--", "^", COLOURS.target),
     "box": ("-.", "s", COLOURS.medium),
     "area": (":", "D", COLOURS.high),
     "axis": ("-", "v", COLOURS.ink),
 }
-OTHERS = ("-", "P", COLOURS.low)  # of descriptors that were registered
+_OTHERS = ("-", "P", COLOURS.low)  # of descriptors that were registered
 
 
 def plot_held_out(experiments):
@@ -129,7 +129,7 @@ def plot_selection(tables):
     fig, axes = figure(1, len(panels), height=6.4, squeeze=False)
     for ax, (shown, across, xlabel, ylabel) in zip(axes[0], panels, strict=True):
         for name, table in shown.items():
-            _, marker, colour = STYLES.get(name, OTHERS)
+            _, marker, colour = _STYLES.get(name, _OTHERS)
             for by, part in table.groupby("by"):
                 solid = by == "simulation"
                 part = part[np.isfinite(part["median"])]

@@ -7,7 +7,7 @@ from inflate_lib.plotting.structures import draw_clamped_edge, draw_inflated, dr
 from inflate_lib.plotting.style import COLOURS, HATCHES, figure, picture_axes
 
 STRETCH_MAP = "cividis"  # reads the same in grey and with every colour-vision deficiency
-HELD_FRAMES = 5  # of an animation, on its last state
+_HELD_FRAMES = 5  # of an animation, on its last state
 
 
 def plot_mesh(mesh):
@@ -173,7 +173,7 @@ def animate_inflation(result, values, label, steps):
         title.set_text(_when(result, step))
         return [cells, title]
 
-    return fig, FuncAnimation(fig, draw, frames=steps + 1 + HELD_FRAMES)
+    return fig, FuncAnimation(fig, draw, frames=steps + 1 + _HELD_FRAMES)
 
 
 def _when(result, step):

@@ -4,7 +4,7 @@ import numpy as np
 
 from inflate_lib.plotting.style import COLOURS, figure
 
-WAYS = {"refined": ("o", "-", COLOURS.wall), "thin wall": ("s", "--", COLOURS.target)}
+_WAYS = {"refined": ("o", "-", COLOURS.wall), "thin wall": ("s", "--", COLOURS.target)}
 
 
 def plot_growth(table, slopes):
@@ -16,7 +16,7 @@ def plot_growth(table, slopes):
     labels = {"ms": "one inflation (ms)", "multiply_adds": "one factorisation (multiply-adds)"}
     for ax, (column, label) in zip(axes, labels.items(), strict=True):
         for way, rows in table[table.converged].groupby("grown"):
-            marker, line, colour = WAYS[way]
+            marker, line, colour = _WAYS[way]
             ax.loglog(rows.unknowns, rows[column], marker, color=colour, markersize=4)
             slope = slopes[f"{way}, {column}"]
             ends = np.array([rows.unknowns.min(), rows.unknowns.max()], dtype=float)

@@ -12,8 +12,8 @@ from scipy.spatial import ConvexHull
 from inflate_lib.descriptors import axis_height, get_descriptor, place_axis
 from inflate_lib.plotting.style import COLOURS, HATCHES, LEVELS, LINE_STYLES, figure, picture_axes
 
-LABEL_COLOURS = ListedColormap(["white", COLOURS.wall, COLOURS.void])
-LEVEL_NAMES = ("low", "medium", "high")
+_LABEL_COLOURS = ListedColormap(["white", COLOURS.wall, COLOURS.void])
+_LEVEL_NAMES = ("low", "medium", "high")
 MARKERS = ("o", "^", "s")
 
 
@@ -53,7 +53,7 @@ def draw_clamped_edge(ax, mesh):
 
 def draw_label(ax, label, grid=False):
     """A label image: wall dark, void light, outside white."""
-    picture_axes(ax).imshow(label, cmap=LABEL_COLOURS, vmin=-0.25, vmax=1.25)
+    picture_axes(ax).imshow(label, cmap=_LABEL_COLOURS, vmin=-0.25, vmax=1.25)
     _frame(ax, label.shape)
     if grid:
         edges = np.arange(-0.5, len(label))
@@ -246,7 +246,7 @@ def _cluster_histogram(ax, values, clusters):
         ax.hist(members, edges, color=colour, hatch=HATCHES[level], edgecolor="white", linewidth=0)
     for level, centroid in enumerate(clusters.centroids[:, 0]):
         ax.axvline(centroid, color=COLOURS.ink, linestyle=LINE_STYLES[level], linewidth=1.2,
-                   label=f"{LEVEL_NAMES[level]}: {centroid:.3f}")  # fmt: skip
+                   label=f"{_LEVEL_NAMES[level]}: {centroid:.3f}")  # fmt: skip
     ax.legend(loc="lower left", bbox_to_anchor=(0, 1), handlelength=1.8, borderaxespad=0.2)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from inflate_lib.plotting.structures import draw_inflated, draw_mesh
 from inflate_lib.plotting.style import COLOURS, figure
 
-ELEMENT_STYLES = {
+_ELEMENT_STYLES = {
     "q1": ("plain", "s--", COLOURS.target),
     "mean-dilatation": ("mean dilatation", "o-", COLOURS.wall),
     "q2": ("biquadratic, graded (FElupe)", "^:", COLOURS.medium),
@@ -25,7 +25,7 @@ def plot_tube(result, exact_radii, refinements, errors):
         picture.plot(radius * np.cos(angle), radius * np.sin(angle), "--", color=COLOURS.target, linewidth=1.2)
     picture.set_xlabel("inflated over undeformed (grey); exact radii dashed")
     for element, values in errors.items():
-        name, style, colour = ELEMENT_STYLES[element]
+        name, style, colour = _ELEMENT_STYLES[element]
         plot.loglog(refinements, values, style, color=colour, markersize=4, label=name)
     n = np.array(refinements, dtype=float)
     plot.loglog(n, 0.6 * errors["mean-dilatation"][0] * (n[0] / n) ** 2, color=COLOURS.ink, lw=0.8, label="slope −2")
@@ -42,7 +42,7 @@ def plot_mesh_study(table):
     fig, axes = figure(1, 3, height=6.0, sharex=True, sharey=True)
     for ax, quantity in zip(axes, ("height", "width", "hull_area"), strict=True):
         for (_, element), rows in table.groupby(["structure", "element"]):
-            name, style, colour = ELEMENT_STYLES[element]
+            name, style, colour = _ELEMENT_STYLES[element]
             label = name if rows["structure"].iloc[0] == table["structure"].min() else None
             ax.plot(rows["refine"], rows[f"{quantity}_error"], style, color=colour, markersize=3.5, label=label)
         ax.axhline(0, color=COLOURS.ink, linewidth=0.8)

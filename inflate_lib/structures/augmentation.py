@@ -39,7 +39,7 @@ def augment(images: np.ndarray, n_samples: int | None = None, seed: int = 0, max
         Where ``n_samples`` is smaller than the number of images or larger than the number of allowed variants, or an
         image holds no structure.
     """
-    variants = allowed_variants(structure_boxes(images), max_shift)
+    variants = _allowed_variants(_structure_boxes(images), max_shift)
     n_images = len(images)
     originals, others = variants[:n_images], variants[n_images:]
     if n_samples is None:
@@ -53,7 +53,7 @@ def augment(images: np.ndarray, n_samples: int | None = None, seed: int = 0, max
     return np.concatenate([originals, others[np.sort(drawn)]])
 
 
-def allowed_variants(boxes, max_shift=MAX_SHIFT):
+def _allowed_variants(boxes, max_shift=MAX_SHIFT):
     """Every variant that keeps a box inside the frame, (m, 4); the originals first, then in order of structure.
 
     ``boxes`` is (n, 4): first row, last row, first column, last column of each structure, in pixels.
@@ -72,7 +72,7 @@ def allowed_variants(boxes, max_shift=MAX_SHIFT):
     return np.concatenate([originals, others])
 
 
-def structure_boxes(images, wall=THICKNESS):
+def _structure_boxes(images, wall=THICKNESS):
     """Where each structure (digit and wall) lies before it is moved: first and last row and column, int (n, 4).
 
     The wall may reach beyond the frame: a first row of -1 or a last one of 28 says so.

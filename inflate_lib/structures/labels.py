@@ -15,14 +15,14 @@ PIXEL = 1 / FRAME  # side of a pixel
 THICKNESS = 2  # of the wall, in pixels
 THRESHOLD = 0.5  # between dark and bright
 OUTSIDE, WALL, VOID = 0.0, 0.5, 1.0  # the labels
-MIN_PIXELS = 12  # a smaller main component is a speck, not a digit (the smallest MNIST seven has 23)
-EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
+_MIN_PIXELS = 12  # a smaller main component is a speck, not a digit (the smallest MNIST seven has 23)
+_EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
 #: Edges of the frame that a structure can be clamped at. Number n comes to the bottom by n quarter turns of np.rot90.
-EDGES = ("bottom", "left", "top", "right")
+_EDGES = ("bottom", "left", "top", "right")
 
 
 @dataclass(frozen=True)
-class Stages:
+class _Stages:
     """The panels of Fig. 2. Where ``pad`` is on, d to f live on a canvas that is ``wall`` pixels wider on each side."""
 
     grey: np.ndarray  # a: (28, 28) float in [0, 1]
@@ -71,8 +71,8 @@ def label_image(
 
 def stages(
     image: np.ndarray, threshold: float = THRESHOLD, wall: int = THICKNESS, pad: bool = True, clamped: str = "bottom"
-) -> Stages:
-    """Every intermediate image of :func:`label_image`, as :class:`Stages`; same arguments, same errors."""
+) -> _Stages:
+    """Every intermediate image of :func:`label_image`, as :class:`_Stages`; same arguments, same errors."""
     whole_number("wall", wall, 1, FRAME)
     number("threshold", threshold, least=0, below=1)
     from scipy import ndimage  # here and below: whoever trains elsewhere has flips and shifts, but no SciPy
@@ -87,12 +87,12 @@ def stages(
     composite = np.where(digit, VOID, expanded)
     shifted = np.rot90(_into_frame(np.rot90(composite, turns), margin), -turns)
     frame = slice(margin, margin + FRAME)
-    return Stages(grey, component, filled, expanded, composite, shifted, shifted[frame, frame].copy())
+    return _Stages(grey, component, filled, expanded, composite, shifted, shifted[frame, frame].copy())
 
 
 def turns_to_bottom(clamped):
     """Quarter turns (of ``np.rot90``) that bring an edge of the frame to the bottom, or a ValueError."""
-    return EDGES.index(choice("clamped", clamped, EDGES))
+    return _EDGES.index(choice("clamped", clamped, _EDGES))
 
 
 def as_grey(image):
@@ -123,13 +123,13 @@ def main_component(grey, threshold=THRESHOLD):
     """Largest 8-connected component, (28, 28) bool, of the pixels of ``grey`` that are brighter than ``threshold``."""
     from scipy import ndimage
 
-    components, n_components = ndimage.label(grey > threshold, EIGHT_NEIGHBOURS)
+    components, n_components = ndimage.label(grey > threshold, _EIGHT_NEIGHBOURS)
     if n_components == 0:
         raise ValueError(f"image is blank: no pixel is brighter than {threshold:g} (brightest: {grey.max():.2g})")
     sizes = np.bincount(components.ravel())[1:]
-    if sizes.max() < MIN_PIXELS:
+    if sizes.max() < _MIN_PIXELS:
         raise ValueError(
-            f"image has no digit: its largest connected component has {sizes.max()} pixels, fewer than {MIN_PIXELS}"
+            f"image has no digit: its largest connected component has {sizes.max()} pixels, fewer than {_MIN_PIXELS}"
         )
     return components == 1 + sizes.argmax()
 

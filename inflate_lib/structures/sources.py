@@ -24,18 +24,18 @@ from inflate_lib.structures.labels import FRAME
 
 SOURCES = ("auto", "mnist", "digits")
 CHOSEN = "INFLATE_SOURCE"  # set by --source: what "auto" is to mean
-DESCRIPTIONS = {"train": "MNIST training sevens", "test": "MNIST test sevens", "digits": "scikit-learn digits"}
-FILES = {
+_DESCRIPTIONS = {"train": "MNIST training sevens", "test": "MNIST test sevens", "digits": "scikit-learn digits"}
+_FILES = {
     "train": ("train-images-idx3-ubyte", "train-labels-idx1-ubyte"),
     "test": ("t10k-images-idx3-ubyte", "t10k-labels-idx1-ubyte"),
 }
-SHA256 = {  # of the decompressed files
+_SHA256 = {  # of the decompressed files
     "train-images-idx3-ubyte": "ba891046e6505d7aadcbbe25680a0738ad16aec93bde7f9b65e87a2fc25776db",
     "train-labels-idx1-ubyte": "65a50cbbf4e906d70832878ad85ccda5333a97f0f4c3dd2ef09a8a9eef7101c5",
     "t10k-images-idx3-ubyte": "0fa7898d509279e482958e8ce81c8e77db3f2f8254e26661ceb7762c4d494ce7",
     "t10k-labels-idx1-ubyte": "ff7bcfd416de33731a308c3f266cc351222c34898ecbeaf847f06e48f7ec33f2",
 }
-MIRRORS = (
+_MIRRORS = (
     "https://ossci-datasets.s3.amazonaws.com/mnist/",
     "https://storage.googleapis.com/cvdf-datasets/mnist/",
 )
@@ -69,7 +69,7 @@ def resolve_source(source: str = "auto") -> str:
     if source != "auto":
         return source
     try:
-        for name in FILES["train"]:
+        for name in _FILES["train"]:
             _locate(name)
     except ConnectionError as error:
         print(f"{error}\nUsing the embedded scikit-learn digits instead of MNIST.")
@@ -98,19 +98,19 @@ def load_sevens(source: str = "auto", limit: int | None = None, split: str = "tr
     ConnectionError
         ``source="mnist"``, no folder is named and no mirror delivers.
     """
-    choice("split", split, FILES)
+    choice("split", split, _FILES)
     if limit is not None:
         whole_number("limit", limit, 1)
     source = resolve_source(source)
     images = _mnist_sevens(split) if source == "mnist" else _embedded_sevens()
-    description = DESCRIPTIONS[split if source == "mnist" else "digits"]
+    description = _DESCRIPTIONS[split if source == "mnist" else "digits"]
     if limit is not None and limit > len(images):
         print(f"{limit} sevens were asked for; {description} are {len(images)}, so all of them are used.")
     return Sevens(images[:limit], source, description)
 
 
 def _mnist_sevens(split):
-    images_name, labels_name = FILES[split]
+    images_name, labels_name = _FILES[split]
     labels = np.frombuffer(_read(labels_name), np.uint8, offset=8)
     pixels = np.frombuffer(_read(images_name), np.uint8, offset=16)
     return pixels.reshape(-1, FRAME, FRAME)[labels == 7]
@@ -141,10 +141,10 @@ def _read(name):
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise ValueError(f"{path} is corrupt or truncated ({error}). Delete it and fetch it again.") from error
     found = hashlib.sha256(content).hexdigest()
-    if found != SHA256[name]:
+    if found != _SHA256[name]:
         raise ValueError(
             f"{path} is not MNIST's {name}, or it is damaged: the SHA-256 of its {len(content)} decompressed bytes is "
-            f"{found}, not {SHA256[name]}. Replace it."
+            f"{found}, not {_SHA256[name]}. Replace it."
         )
     _remember(name, content)
     return content
@@ -167,11 +167,11 @@ def _download(name):
     pooch = _pooch()
     pooch.get_logger().setLevel("WARNING")
     folder, failures = paths.CACHE / "mnist", []
-    for mirror in MIRRORS:
+    for mirror in _MIRRORS:
         try:
             return Path(
                 pooch.retrieve(
-                    f"{mirror}{name}.gz", f"sha256:{SHA256[name]}", name, folder, downloader=_download_and_unzip
+                    f"{mirror}{name}.gz", f"sha256:{_SHA256[name]}", name, folder, downloader=_download_and_unzip
                 )
             )
         # an unreachable mirror; one that answers with something else; and pooch's own word for a wrong checksum

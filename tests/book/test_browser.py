@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from inflate_lib import paths
-from inflate_lib.book.pdf import find_chromium, print_page, sandbox_flags
+from inflate_lib.book.pdf import _find_chromium, _print_page, _sandbox_flags
 from inflate_lib.book.run import executed_under
-from inflate_lib.book.sphinx_ext import EXPLORER
+from inflate_lib.book.sphinx_ext import _EXPLORER
 
 pytestmark = pytest.mark.book
 HTML = paths.BOOK / "_build" / "html"
@@ -26,12 +26,12 @@ LOUD = "NO BROWSER TEST: no Chromium or Chrome found. Install one (Debian: chrom
 @pytest.fixture(scope="module")
 def browser():
     """One browser for all tests; what Chromium says when it cannot start is shown."""
-    chromium = find_chromium()
+    chromium = _find_chromium()
     if chromium is None:
         pytest.skip(LOUD)
     sync_api = pytest.importorskip("playwright.sync_api", reason="NO BROWSER TEST: pip install playwright")
     with sync_api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=str(chromium), args=["--disable-gpu", *sandbox_flags()])
+        browser = play.chromium.launch(executable_path=str(chromium), args=["--disable-gpu", *_sandbox_flags()])
         yield browser
         browser.close()
 
@@ -189,7 +189,7 @@ def test_every_page_says_which_run_it_comes_from(desktop):
 
 @pytest.fixture(scope="module")
 def data():
-    text = (paths.FIGURES / "ci" / f"{EXPLORER}.js").read_text(encoding="utf-8")
+    text = (paths.FIGURES / "ci" / f"{_EXPLORER}.js").read_text(encoding="utf-8")
     assert len(text) < 5e6
     return json.loads(text.split("=", 1)[1].rstrip(";\n"))
 
@@ -308,7 +308,7 @@ def test_without_scripts_there_is_still_a_picture(browser):
 def test_a_page_with_equations_prints(browser, tmp_path):
     """The way of `make pdf`, on one chapter; the whole book takes minutes."""
     target = tmp_path / "chapter.pdf"
-    print_page(find_chromium(), HTML / "notebooks" / "04_inflation.html", target)
+    _print_page(_find_chromium(), HTML / "notebooks" / "04_inflation.html", target)
     content = target.read_bytes()
     assert content.startswith(b"%PDF") and content.rstrip().endswith(b"%%EOF")
     assert len(re.findall(rb"/Type\s*/Page\b", content)) >= 5

@@ -6,7 +6,7 @@ import re
 import pytest
 
 from inflate_lib import paths
-from inflate_lib.book.build import check_book, warnings_in
+from inflate_lib.book.build import _warnings_in, check_book
 from inflate_lib.book.page import recorded
 from inflate_lib.book.run import executed_under, find_notebooks
 
@@ -70,7 +70,7 @@ def test_notebook_ran_to_its_end_without_errors_or_warnings(name):
     outputs = [output for cell in cells for output in cell["outputs"]]
     assert not [output for output in outputs if output["output_type"] == "error"]
     ours = [
-        text for text in warnings_in(paths.EXECUTED / f"{name}.ipynb") if "inflate_lib" in text or "ipykernel" in text
+        text for text in _warnings_in(paths.EXECUTED / f"{name}.ipynb") if "inflate_lib" in text or "ipykernel" in text
     ]
     assert not ours  # what another package says of this machine is listed by `inflate book`, and is no fault
 

@@ -22,7 +22,7 @@ from inflate_lib.book._execution import NotebookFailed
 from inflate_lib.book.build import build_book, check_book
 from inflate_lib.book.page import SOURCES, recorded
 from inflate_lib.book.profiles import ProfileError
-from inflate_lib.book.run import RunError, Stale, plan
+from inflate_lib.book.run import RunError, _Stale, plan
 from inflate_lib.cli import app
 from inflate_lib.cli.book import book
 from inflate_lib.structures import sources
@@ -134,7 +134,7 @@ def stale():
 def test_a_run_executes_and_says_what_it_did(finished):
     home, output = finished
     for name in ("01_first", "02_second"):
-        assert f"{name}: {Stale.ABSENT}" in output
+        assert f"{name}: {_Stale.ABSENT}" in output
         assert f"{name}: done in" in output
         assert (home / "figures" / "runs" / "ci" / f"fig_{name}.png").is_file()
     assert "seconds" in output
@@ -182,23 +182,23 @@ def test_a_book_is_refused_for_every_kind_of_staleness(done, monkeypatch):
     with pytest.raises(RunError, match=r"(?s)01_first: It was executed under the profile ci\..*02_second"):
         check_book("laptop")
     (done / "figures" / "runs" / "ci" / "fig_01_first.svg").unlink()
-    assert stale() == [Stale.INCOMPLETE.format("figures/runs/ci/fig_01_first.svg"), ""]
+    assert stale() == [_Stale.INCOMPLETE.format("figures/runs/ci/fig_01_first.svg"), ""]
     source = done / "notebooks" / "02_second.md"
     source.write_text(source.read_text() + "\nOne more word.\n")
-    assert stale()[1] == Stale.CHANGED.format("notebook")
+    assert stale()[1] == _Stale.CHANGED.format("notebook")
     (done / "notebooks" / "profiles" / "ci.yml").write_text(
         f"name: ci\n{RECIPE}notebooks: {{02_second: {{steps: 11}}}}\n"
     )
-    assert stale()[1] == Stale.CHANGED.format("notebook, parameters")
+    assert stale()[1] == _Stale.CHANGED.format("notebook, parameters")
     monkeypatch.setattr(reproduce, "step_version", lambda step: "other")
-    assert stale()[1] == Stale.CHANGED.format("notebook, parameters, library")
+    assert stale()[1] == _Stale.CHANGED.format("notebook, parameters, library")
     (executed / "01_first.ipynb").write_text((executed / "01_first.ipynb").read_text().replace("kept", "edited"))
     assert stale()[0].startswith("What it depends on has changed: library")
     monkeypatch.undo()
     point_to(done, monkeypatch)
-    assert stale()[0] == Stale.EDITED
+    assert stale()[0] == _Stale.EDITED
     (executed / "02_second.ipynb").write_text("{")
-    assert stale()[1] == Stale.FOREIGN
+    assert stale()[1] == _Stale.FOREIGN
     (executed / "02_second.ipynb").unlink()
     with pytest.raises(
         RunError, match=r"02_second: It has not been executed yet(?s:.*)Run: inflate reproduce --profile ci"
@@ -305,7 +305,7 @@ def test_missing_data_are_found_before_anything_runs(home, monkeypatch):
 def test_other_data_are_used_only_where_they_are_asked_for(home, monkeypatch):
     for number, name in enumerate(("01_first", "02_second")):
         add(home, name, f"x = {number}", head=HEADER.replace("steps = 10", 'source = "auto"  # data\nsteps = 10'))
-    for name in sources.FILES["train"]:  # to see whether MNIST can be had, nobody reads it
+    for name in sources._FILES["train"]:  # to see whether MNIST can be had, nobody reads it
         (home / name).write_text("")
     monkeypatch.setenv("INFLATE_MNIST_DIR", str(home))
     monkeypatch.setenv("INFLATE_SOURCE", "digits")
@@ -322,7 +322,7 @@ def test_other_data_are_used_only_where_they_are_asked_for(home, monkeypatch):
     assert run().count(": fresh") == 2
     monkeypatch.setenv("INFLATE_SOURCE", "mnist")
     reproduce._resolved.cache_clear()
-    assert f"01_first: {Stale.CHANGED.format('data source')}" in run()
+    assert f"01_first: {_Stale.CHANGED.format('data source')}" in run()
 
 
 def test_a_profile_that_names_its_data_gets_no_others(home, monkeypatch):

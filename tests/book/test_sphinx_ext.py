@@ -79,13 +79,13 @@ def test_what_depends_on_the_run_comes_from_its_own_profile(home):
 def test_model_cards_come_into_their_page_one_level_down(home):
     noted = []
     app = SimpleNamespace(env=SimpleNamespace(note_dependency=noted.append))
-    page = [f"# Weights\n\n{sphinx_ext.MODEL_CARDS}\n"]
+    page = [f"# Weights\n\n{sphinx_ext._MODEL_CARDS}\n"]
     sphinx_ext._add_model_cards(app, "data_and_weights", page)
-    assert sphinx_ext.NO_WEIGHTS in page[0]
+    assert sphinx_ext._NO_WEIGHTS in page[0]
     (paths.PRETRAINED / "ci").mkdir(parents=True)
     card = paths.PRETRAINED / "ci" / "README.md"
     card.write_text("# Card\n\n## Recipe\n\n```python\n# a comment\n```\n\n# Limits\n")
-    page = [f"# Weights\n\n{sphinx_ext.MODEL_CARDS}\n"]
+    page = [f"# Weights\n\n{sphinx_ext._MODEL_CARDS}\n"]
     sphinx_ext._add_model_cards(app, "data_and_weights", page)
     assert page[0] == "# Weights\n\n## Card\n\n### Recipe\n\n```python\n# a comment\n```\n\n## Limits\n\n"
     assert noted == [str(card)]
@@ -97,10 +97,10 @@ def test_a_named_table_is_numbered_as_a_table_with_its_caption_first():
         shown = nodes.figure("", nodes.container(), nodes.caption("", "Sizes of ten structures."), names=[name])
         document.note_explicit_target(shown, shown)
         document += shown
-    sphinx_ext.CaptionTables(document).apply()
+    sphinx_ext._CaptionTables(document).apply()
     table, figure = document.children
-    assert isinstance(table, sphinx_ext.CaptionedTable) and document.ids["tab-sizes"] is table
-    assert [type(part) for part in table] == [sphinx_ext.TableCaption, nodes.container]
+    assert isinstance(table, sphinx_ext._CaptionedTable) and document.ids["tab-sizes"] is table
+    assert [type(part) for part in table] == [sphinx_ext._TableCaption, nodes.container]
     assert type(figure) is nodes.figure and [type(part) for part in figure] == [nodes.container, nodes.caption]
 
 
@@ -115,7 +115,7 @@ def test_every_table_of_a_notebook_has_a_caption_and_a_name_of_its_own():
             assert shown.startswith("page.table("), f"{where}: a cell ends with the table that it shows"
             options = cell.metadata.get("mystnb", {}).get("figure", {})
             name = options.get("name", "")
-            assert name.startswith(sphinx_ext.TABLE), f"{where}: no name that begins with {sphinx_ext.TABLE}"
+            assert name.startswith(sphinx_ext._TABLE), f"{where}: no name that begins with {sphinx_ext.TABLE}"
             assert len(options.get("caption", "")) > 40, f"{where}: no caption that can be read alone"
             assert owner.setdefault(name, where) is where, f"{where}: named like that of {owner[name]}"
     assert owner
@@ -133,16 +133,16 @@ def test_a_browser_is_found_where_it_is_named_or_usual(tmp_path, monkeypatch):
     program.write_text("#!/bin/sh\n")
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
     monkeypatch.delenv("INFLATE_CHROMIUM", raising=False)
-    monkeypatch.setattr(pdf, "APPLICATIONS", ())
+    monkeypatch.setattr(pdf, "_APPLICATIONS", ())
     monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
-    assert pdf.find_chromium() is None
+    assert pdf._find_chromium() is None
     with pytest.raises(RuntimeError, match="no Chromium or Chrome found; install one"):
         pdf.print_book()
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert pdf.find_chromium() == program
+    assert pdf._find_chromium() == program
     monkeypatch.setenv("INFLATE_CHROMIUM", str(tmp_path / "absent"))
     with pytest.raises(ValueError, match=r"INFLATE_CHROMIUM is .*absent, which is no program"):
-        pdf.find_chromium()
+        pdf._find_chromium()
 
 
 def test_a_browser_that_prints_nothing_is_an_error(tmp_path):
@@ -150,5 +150,5 @@ def test_a_browser_that_prints_nothing_is_an_error(tmp_path):
     program.write_text("#!/bin/sh\necho out of paper >&2\n")
     program.chmod(0o755)
     with pytest.raises(RuntimeError, match=r"wrote no PDF of .*page\.html: out of paper"):
-        pdf.print_page(program, tmp_path / "page.html", tmp_path / "book.pdf")
+        pdf._print_page(program, tmp_path / "page.html", tmp_path / "book.pdf")
     assert os.listdir(tmp_path) == ["chromium"]

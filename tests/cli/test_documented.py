@@ -10,7 +10,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from inflate_lib import paths
-from inflate_lib.cli.app import load_commands
+from inflate_lib.cli.app import _load_commands
 
 PAGES = [*paths.ROOT.glob("*.md"), *paths.BOOK.glob("*.md"), *paths.BOOK.glob("commands/*.md")]
 #: A command in a line: its name, and the rest.
@@ -19,7 +19,7 @@ COMMAND = re.compile(r"(?:^|[ `/])inflate(?:_lib)? ([a-z]+)( .*)?$")
 
 @pytest.fixture(scope="module")
 def commands():
-    return get_command(load_commands()).commands
+    return get_command(_load_commands()).commands
 
 
 def consoles(page):
@@ -76,7 +76,7 @@ def test_quick_commands_print_what_is_shown(command, output, tmp_path, monkeypat
     """Where a page has `…`, anything may stand; seconds, the only numbers with two decimals, may differ."""
     shutil.copytree(paths.ROOT / "examples", tmp_path / "examples")
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(load_commands(), shlex.split(command)[1:])
+    done = CliRunner().invoke(_load_commands(), shlex.split(command)[1:])
     assert done.exit_code == 0, done.output
     shown, printed = (re.sub(r"│ \d+\.\d\d +│", "│ seconds │", text.strip()) for text in (output, done.output))
     pattern = re.escape(shown).replace("…", "(?s:.*?)")

@@ -12,7 +12,7 @@ from inflate_lib import describe, inflate, label_image
 from inflate_lib.cli import app
 from inflate_lib.cli._images import Options, simulate_files
 from inflate_lib.io.pictures import read_images
-from inflate_lib.structures.labels import EDGES
+from inflate_lib.structures.labels import _EDGES
 from inflate_lib.structures.sources import load_sevens
 
 DIGITS = load_sevens("digits").images
@@ -93,7 +93,7 @@ def test_every_parameter_reaches_the_solver(folder, run):
     assert code == 0 and record["height"] == describe(result).height
 
 
-@pytest.mark.parametrize("edge", EDGES)
+@pytest.mark.parametrize("edge", _EDGES)
 def test_any_edge_is_clamped(folder, run, edge):
     code, out, _ = run("seven.png", "--json", "--steps", "2", "--clamp", edge, "--moose", "cases")
     result = inflate(label_image(DIGITS[0], clamped=edge), 2, clamped=edge)

@@ -134,7 +134,7 @@ def test_results_that_are_kept_know_which_descriptors_they_hold(monkeypatch):
     with_three = added_version()
     register(Descriptor("air", "V", slenderness))
     other = added_version()
-    monkeypatch.setattr(registry, "_registry", {name: get_descriptor(name) for name in registry.OWN})
+    monkeypatch.setattr(registry, "_registry", {name: get_descriptor(name) for name in registry._OWN})
     assert added_version() == "" and len({with_three, other, ""}) == 3
     register(Descriptor("air", "V", eval("lambda shape: 1.0")))
     with pytest.raises(ValueError, match="air: the source of its function cannot be found"):

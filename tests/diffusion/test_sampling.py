@@ -10,13 +10,13 @@ from scipy.stats import kstest
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, process
 from inflate_lib.diffusion.sampling import (
-    SAMPLERS,
+    _SAMPLERS,
+    _dpm_solver_step,
+    _timesteps,
     ancestral_step,
     ddim_step,
     denoise,
-    dpm_solver_step,
     guided,
-    timesteps,
 )
 
 MEAN, DEVIATION = 0.2, 0.1  # of the Gaussian toy
@@ -39,7 +39,7 @@ def sampled(data, n, objective, sampler, steps=1000, eta=1.0, seed=1):
 
 def propagated(sampler, steps, eta):
     """Mean and deviation that the sampler must end with: its update is linear, so both follow exactly."""
-    times = timesteps(1000, steps)
+    times = _timesteps(1000, steps)
     m, v = 0.0, 1.0
     for t, before in zip(times, [*times[1:], -1], strict=True):
         now, alpha, beta = (x[t].item() for x in (SCHEDULE.alpha_bars, SCHEDULE.alphas, SCHEDULE.betas))
@@ -64,7 +64,7 @@ def propagated(sampler, steps, eta):
     ("sampler", "steps", "eta", "published"),
     [("ancestral", 1000, 1, 0.1009), ("ddim", 50, 0, None), ("ddim", 20, 0, None), ("ddim", 50, 1, 0.079)],
 )
-@pytest.mark.parametrize("objective", process.OBJECTIVES)
+@pytest.mark.parametrize("objective", process._OBJECTIVES)
 def test_gaussian_toy_ends_with_the_samplers_own_spread(sampler, steps, eta, published, objective):
     x = sampled(GAUSSIAN, 20_000, objective, sampler, steps, eta)
     mean, deviation = propagated(sampler, steps, eta)
@@ -74,7 +74,7 @@ def test_gaussian_toy_ends_with_the_samplers_own_spread(sampler, steps, eta, pub
     assert x.std().item() == pytest.approx(deviation, rel=5 / 40_000**0.5)
 
 
-@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("sampler", _SAMPLERS)
 def test_estimates_of_the_image_are_clipped_where_that_is_wanted(sampler):
     """A network that draws pixels of 3, three times as bright as an image can be."""
     bright = Mixture([1.0], [3.0], [0.1])
@@ -109,18 +109,18 @@ def test_a_thousand_steps_draw_from_the_data_distribution(sampler, eta, objectiv
         assert kstest(x, Mixture(weights, means, [0.1, 0.2]).cdf).pvalue < 1e-3
 
 
-@pytest.mark.parametrize("objective", process.OBJECTIVES)
+@pytest.mark.parametrize("objective", process._OBJECTIVES)
 @pytest.mark.parametrize(("steps", "eta"), [(10, 0.0), (10, 0.5), (10, 1.0), (20, 0.0), (20, 1.0)])
 def test_few_ddim_steps_draw_from_their_own_distribution(steps, eta, objective):
     x = sampled(TWO_HILLS, 10_000, objective, "ddim", steps, eta)
-    assert kstest(x, ddim_law(TWO_HILLS, timesteps(1000, steps), eta)).pvalue > 1e-3
+    assert kstest(x, ddim_law(TWO_HILLS, _timesteps(1000, steps), eta)).pvalue > 1e-3
     assert kstest(x, TWO_HILLS.cdf).pvalue < 1e-9  # which is not that of the data
 
 
 def test_with_more_steps_ddim_comes_nearer_to_the_data():
     x = np.linspace(-1, 1, 201)
     steps = (20, 100, 500)
-    laws = [ddim_law(TWO_HILLS, timesteps(1000, n), 0.0)(x) for n in steps]
+    laws = [ddim_law(TWO_HILLS, _timesteps(1000, n), 0.0)(x) for n in steps]
     off = [np.abs(law - TWO_HILLS.cdf(x)).max() for law in laws]
     assert off[0] > 0.02
     for coarse, fine in pairwise(off):
@@ -154,12 +154,12 @@ def test_without_clipping_the_ancestral_step_is_equation_10(step):
 
 
 @pytest.mark.parametrize("eta", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("objective", process.OBJECTIVES)
+@pytest.mark.parametrize("objective", process._OBJECTIVES)
 def test_ddim_chain_agrees_with_diffusers(objective, eta):
     options = {"timestep_spacing": "trailing", "prediction_type": PREDICTION_TYPES[objective]}
     theirs = diffusers_scheduler("DDIMScheduler", **options)
     theirs.set_timesteps(20)
-    times = timesteps(1000, 20)
+    times = _timesteps(1000, 20)
     assert theirs.timesteps.tolist() == times and times[0] == 999
     g = torch.Generator().manual_seed(0)
     for t, before in zip(times, [*times[1:], -1], strict=True):
@@ -172,7 +172,7 @@ def test_ddim_chain_agrees_with_diffusers(objective, eta):
 
 
 @pytest.mark.parametrize("steps", [1, 2, 5, 20, 50])
-@pytest.mark.parametrize("objective", process.OBJECTIVES)
+@pytest.mark.parametrize("objective", process._OBJECTIVES)
 def test_dpm_solver_agrees_with_diffusers(objective, steps):
     """Every state of the chain, to the single precision in which diffusers computes it (the noise magnifies that)."""
     options = {"timestep_spacing": "trailing", "prediction_type": PREDICTION_TYPES[objective]}
@@ -198,7 +198,7 @@ def test_dpm_solver_is_of_second_order():
         x, last = start.mean + start.stddev * z, None
         for t, earlier in pairwise(np.linspace(800, 200, steps + 1).astype(int).tolist()):
             x0 = GAUSSIAN.expected_x0(x, SCHEDULE.alpha_bars[t].item())
-            x = dpm_solver_step(SCHEDULE, x0, x, t, earlier, last)
+            x = _dpm_solver_step(SCHEDULE, x0, x, t, earlier, last)
             last = (t, x0) if second_order else None
         return (x - (end.mean + end.stddev * z)).abs().max().item()
 
@@ -210,7 +210,7 @@ def test_dpm_solver_is_of_second_order():
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 7, 20, 50, 999, 1000])
 def test_time_steps_start_at_the_end_and_fall(steps):
-    times = timesteps(1000, steps)
+    times = _timesteps(1000, steps)
     assert len(times) == steps and times[0] == 999 and times[-1] >= 0
     assert all(a > b for a, b in pairwise(times))
 
@@ -218,7 +218,7 @@ def test_time_steps_start_at_the_end_and_fall(steps):
 @pytest.mark.parametrize("steps", [0, 1001])
 def test_impossible_number_of_steps(steps):
     with pytest.raises(ValueError, match="steps"):
-        timesteps(1000, steps)
+        _timesteps(1000, steps)
 
 
 def test_guidance_convention():

@@ -9,7 +9,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from inflate_lib.diffusion import TrainingConfig, UNet
-from inflate_lib.diffusion.unet import CONDITIONINGS, Attention, ResidualBlock, sinusoidal_embedding
+from inflate_lib.diffusion.unet import _CONDITIONINGS, ResidualBlock, _Attention, sinusoidal_embedding
 
 
 def shaken(**options):
@@ -65,7 +65,7 @@ def test_number_of_parameters_with_more_blocks_or_added_context():
     assert less == (2 * (64 + 128 + 256) + 2 * 256) * (256 + 1)  # no scale: eight blocks, down, up and in the middle
 
 
-@pytest.mark.parametrize("conditioning", CONDITIONINGS)
+@pytest.mark.parametrize("conditioning", _CONDITIONINGS)
 def test_context_enters_a_residual_block_as_written(conditioning):
     torch.manual_seed(0)
     block = ResidualBlock(4, 4, 6, groups=2, scale_shift=conditioning == "scale-shift").double()
@@ -173,7 +173,10 @@ def test_attention_changes_the_answer_only_after_training():
 def test_attention_agrees_with_pytorchs_own():
     """`torch.nn.MultiheadAttention` with the same weights, to which the pixels are a sequence."""
     torch.manual_seed(0)
-    layer, peer = Attention(8, heads=2, groups=4).double(), torch.nn.MultiheadAttention(8, 2, batch_first=True).double()
+    layer, peer = (
+        _Attention(8, heads=2, groups=4).double(),
+        torch.nn.MultiheadAttention(8, 2, batch_first=True).double(),
+    )
     torch.nn.init.normal_(layer.out.weight)
     into, out = layer.qkv, layer.out
     weights = {"in_proj_weight": into.weight.flatten(1), "out_proj.weight": out.weight.flatten(1)}

@@ -7,7 +7,7 @@ from inflate_lib import load_model, paths
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.experiments import card
-from inflate_lib.experiments.card import calibrate_weights, write_card
+from inflate_lib.experiments.card import _calibrate_weights, write_card
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.train import train_models
@@ -71,7 +71,7 @@ def test_a_model_comes_back_with_what_was_measured_of_it(folder, data, monkeypat
     fit = Calibration(np.array([0.9]), np.eye(1), np.array([0.02]), np.array([[1.25]]))
     monkeypatch.setattr(card, "calibrate", lambda *_: fit)  # a network that learned for four steps does not listen
     (folder / "axis.safetensors").unlink()
-    calibrate_weights(folder, data, RECIPE.changed(n_calibration=4))
+    _calibrate_weights(folder, data, RECIPE.changed(n_calibration=4))
     assert (folder / "height.safetensors").read_bytes() != before
     monkeypatch.setattr(paths, "PRETRAINED", folder.parent)
     model = load_model("height", "tiny")

@@ -10,13 +10,13 @@ from scipy.spatial.distance import directed_hausdorff
 from sklearn.metrics import r2_score
 
 from inflate_lib import paths
-from inflate_lib.alternatives.best_of import best_of, chances, selection, weighted_quantile
+from inflate_lib.alternatives.best_of import _weighted_quantile, best_of, chances, selection
 from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.descriptors import mirror_axis
-from inflate_lib.descriptors.errors import hausdorff, point_distances
+from inflate_lib.descriptors.errors import _hausdorff, _point_distances
 from inflate_lib.experiments.metrics import bootstrap, errors, misses, r_squared
 from inflate_lib.experiments.tables import (
-    Failure,
+    _Failure,
     accuracy,
     failure_reasons,
     score,
@@ -24,7 +24,7 @@ from inflate_lib.experiments.tables import (
     side_by_side,
     with_interval,
 )
-from inflate_lib.experiments.variety import diversity, mean_pairwise, nearest, novelty, pairwise
+from inflate_lib.experiments.variety import _mean_pairwise, diversity, nearest, novelty, pairwise
 from inflate_lib.structures.augmentation import apply_variants, augment
 from inflate_lib.structures.labels import PIXEL
 from inflate_lib.structures.sources import load_sevens
@@ -78,14 +78,14 @@ def test_hausdorff_distance_is_that_of_scipy():
     expected = []
     for a, b in zip(axes.reshape(6, 30, 2), others.reshape(6, 30, 2), strict=True):
         expected.append(max(directed_hausdorff(a, b)[0], directed_hausdorff(b, a)[0]) / PIXEL)
-    np.testing.assert_allclose(hausdorff(axes, others), expected)
-    np.testing.assert_allclose(hausdorff(others, axes), expected)
+    np.testing.assert_allclose(_hausdorff(axes, others), expected)
+    np.testing.assert_allclose(_hausdorff(others, axes), expected)
 
 
 def test_hausdorff_distance_is_at_most_the_largest_distance_of_points():
     axes, others = RNG.random((20, 60)), RNG.random((20, 60))
-    assert (hausdorff(axes, others) <= point_distances(axes, others).max(axis=1) + 1e-9).all()
-    np.testing.assert_allclose(hausdorff(mirror_axis(axes), mirror_axis(others)), hausdorff(axes, others))
+    assert (_hausdorff(axes, others) <= _point_distances(axes, others).max(axis=1) + 1e-9).all()
+    np.testing.assert_allclose(_hausdorff(mirror_axis(axes), mirror_axis(others)), _hausdorff(axes, others))
 
 
 def test_r_squared_is_that_of_scikit_learn_and_skips_what_is_not_there():
@@ -209,7 +209,7 @@ def test_reasons_are_counted_by_their_kind():
     n = len(reason)
     valid = [False] * (n - 2) + [True, False]
     found = failure_reasons([experiment([1.0] * n, [1.0] * n, valid, reason=reason)])
-    assert found.to_dict() == dict.fromkeys(Failure, 1)
+    assert found.to_dict() == dict.fromkeys(_Failure, 1)
     assert failure_reasons([]).empty
 
 
@@ -247,8 +247,8 @@ def test_pairwise_distances_forgive_flips_and_shifts():
     apart = pairwise(apply_variants(IMAGES[:2], variants))
     assert apart[0, 1] < 1e-6 and apart[0, 2] == pytest.approx(apart[1, 2], abs=0.02) and apart[0, 2] > 0.05
     np.testing.assert_array_equal(apart, apart.T)
-    assert mean_pairwise(apart) == pytest.approx(apart[np.triu_indices(3, 1)].mean())
-    assert np.isnan(mean_pairwise(apart, np.array([1, 1, 1])))
+    assert _mean_pairwise(apart) == pytest.approx(apart[np.triu_indices(3, 1)].mean())
+    assert np.isnan(_mean_pairwise(apart, np.array([1, 1, 1])))
 
 
 def test_diversity_of_the_same_structure_again_and_again_is_zero_and_that_of_the_data_is_not():
@@ -258,7 +258,7 @@ def test_diversity_of_the_same_structure_again_and_again_is_zero_and_that_of_the
     table = diversity(same, "height", data, n_resamples=20)
     assert table["generated"].abs().max() < 1e-6 and (table["data"] > 0.05).all() and (table["n"] == 3).all()
     nearest_three = np.argsort(np.abs(values - 1.0), kind="stable")[:3]
-    assert table["data"][0] == pytest.approx(mean_pairwise(pairwise(IMAGES[nearest_three])))
+    assert table["data"][0] == pytest.approx(_mean_pairwise(pairwise(IMAGES[nearest_three])))
 
 
 def test_novelty_is_kept(tmp_path, monkeypatch):
@@ -289,7 +289,7 @@ def test_more_candidates_never_hurt_when_they_are_simulated():
     error = RNG.exponential(size=(15, 12))
     error[RNG.random(error.shape) < 0.2] = np.inf
     for q in (0.25, 0.5, 0.9):
-        found = [weighted_quantile(*best_of(error, error, n), q) for n in range(1, 13)]
+        found = [_weighted_quantile(*best_of(error, error, n), q) for n in range(1, 13)]
         assert (np.diff(found) <= 0).all() if np.isfinite(found).all() else found == sorted(found, reverse=True)
     failing = [(w * np.isinf(e)).sum() for e, w in (best_of(error, error, n) for n in range(1, 13))]
     assert (np.diff(failing) <= 1e-12).all()
@@ -304,9 +304,9 @@ def test_a_ranking_that_knows_nothing_is_as_good_as_the_first_candidate():
 
 
 def test_weighted_quantiles():
-    assert weighted_quantile([3.0, 1.0, 2.0], [1, 1, 1], 0.5) == 2
-    assert weighted_quantile([1.0, 2.0, 3.0], [8, 1, 1], 0.5) == 1
-    assert weighted_quantile([1.0, 2.0, np.inf], [1, 1, 2], 0.9) == np.inf
+    assert _weighted_quantile([3.0, 1.0, 2.0], [1, 1, 1], 0.5) == 2
+    assert _weighted_quantile([1.0, 2.0, 3.0], [8, 1, 1], 0.5) == 1
+    assert _weighted_quantile([1.0, 2.0, np.inf], [1, 1, 2], 0.9) == np.inf
 
 
 class Guess:

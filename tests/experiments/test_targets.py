@@ -12,12 +12,12 @@ from inflate_lib.descriptors import get_descriptor
 from inflate_lib.experiments.targets import (
     LEVELS,
     TABULATED,
+    _size_and_shape,
     choose_axes,
     compare_with_paper,
     deviation_from_paper,
     find_clusters,
     paper_targets,
-    size_and_shape,
 )
 
 
@@ -122,7 +122,7 @@ def test_chosen_axes_are_real_distinct_and_ordinary():
     lean = axes[chosen, -1, 0] / height
     assert np.all(np.diff(height) >= 0) and np.ptp(height) > 0.3
     assert np.ptp(lean) > 0.5
-    features = size_and_shape(axes)
+    features = _size_and_shape(axes)
     closest = min(np.linalg.norm(features[i] - features[j]) for i, j in itertools.combinations(chosen, 2))
     rng = np.random.default_rng(0)
     for _ in range(50):  # hardly any three axes taken at random are as far apart
@@ -139,7 +139,7 @@ def test_chosen_axes_do_not_depend_on_the_order_of_the_structures():
 
 
 def test_size_and_shape_count_alike():
-    features = size_and_shape(leaning_axes())
+    features = _size_and_shape(leaning_axes())
     assert np.allclose(features.mean(axis=0), 0)
     assert features[:, 0].var() == pytest.approx(1)
     assert features[:, 1:].var(axis=0).sum() == pytest.approx(1)

@@ -8,8 +8,8 @@ from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
 from inflate_lib import inflate, label_image
-from inflate_lib.inverse.constraints import Constraints, from_millimetres, is_symmetric, mirrored, pixels, wide_enough
-from inflate_lib.inverse.refine import Rejection, attempt, free_place
+from inflate_lib.inverse.constraints import Constraints, _is_symmetric, _wide_enough, from_millimetres, mirrored, pixels
+from inflate_lib.inverse.refine import Rejection, _free_place, attempt
 from inflate_lib.mechanics.mesh import boundary_loops
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, WALL
 from inflate_lib.structures.sources import load_sevens
@@ -46,7 +46,7 @@ def slowly_wide_enough(void, width):
 def test_the_width_of_a_cavity_is_that_of_a_square_that_passes(void, width, smooth):
     if smooth:
         void = ndimage.binary_dilation(ndimage.binary_erosion(void, np.ones((2, 2))), np.ones((4, 3)))
-    assert wide_enough(void, width) == slowly_wide_enough(void, width)
+    assert _wide_enough(void, width) == slowly_wide_enough(void, width)
 
 
 def test_strips_are_as_wide_as_they_are():
@@ -54,10 +54,10 @@ def test_strips_are_as_wide_as_they_are():
         strip = np.zeros((20, 20), bool)
         strip[3 : 3 + width, 2:18] = True
         strip[3:18, 2 : 2 + width] = True
-        assert wide_enough(strip, width) and not wide_enough(strip, width + 1)
+        assert _wide_enough(strip, width) and not _wide_enough(strip, width + 1)
     neck = np.zeros((20, 20), bool)
     neck[2:8, 2:8] = neck[2:8, 10:16] = neck[4, 8:10] = True  # two rooms and a door of one pixel
-    assert wide_enough(neck, 1) and not wide_enough(neck, 2)
+    assert _wide_enough(neck, 1) and not _wide_enough(neck, 2)
 
 
 def test_lengths_count_in_whole_pixels():
@@ -78,14 +78,14 @@ def test_material_is_the_area_of_the_wall(seven):
 def test_mirror_images_are_symmetric_structures():
     made = 0
     for image in DIGITS[:20]:
-        assert not is_symmetric(label_image(image))
+        assert not _is_symmetric(label_image(image))
         for picture in mirrored(image / 255):
             try:
                 label = label_image(picture)
             except ValueError:
                 continue
             made += 1
-            assert is_symmetric(label) and Constraints(symmetric=True).broken_by(label) == ""
+            assert _is_symmetric(label) and Constraints(symmetric=True).broken_by(label) == ""
             assert Constraints(symmetric=True).broken_by(label_image(image)) == "symmetric"
     assert made >= 40
     assert mirrored(np.zeros((28, 28))) == []
@@ -136,14 +136,14 @@ def test_a_structure_steps_aside_for_a_region(seven):
     columns = np.flatnonzero(np.any(label != OUTSIDE, axis=0))
     left = result.deformed()[:, 0].min()
     region = Constraints(keep_out=(-1, 0, left + 1.5 * PIXEL, 2))
-    shift = free_place(label, result, region)
+    shift = _free_place(label, result, region)
     assert shift == min(2, FRAME - 1 - columns[-1]) == 2
     reason, moved, inflated = attempt(DIGITS[0] / 255, region)
     assert reason is None and np.array_equal(moved, np.roll(label, shift, axis=1))
     assert np.allclose(inflated.displacement, result.displacement, atol=1e-9)
     assert inflated.deformed()[:, 0].min() > left + 1.5 * PIXEL
     nowhere = Constraints(keep_out=(-1, 0.5, 2, 0.6))
-    assert free_place(label, result, nowhere) is None
+    assert _free_place(label, result, nowhere) is None
     assert attempt(DIGITS[0] / 255, nowhere)[0] is Rejection.KEEP_OUT
 
 

@@ -22,7 +22,7 @@ from inflate_lib import describe, inflate, label_image
 from inflate_lib.inverse import save
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.refine import Rejection
-from inflate_lib.inverse.save import mould, opened_grid, outline_svg, part, save_designs, search_record, write_stl
+from inflate_lib.inverse.save import _opened_grid, _outline_svg, _search_record, _write_stl, mould, part, save_designs
 from inflate_lib.inverse.search import Design, Designs, Stop
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.io.pictures import read_images
@@ -83,13 +83,13 @@ def designs():
 @pytest.mark.parametrize("label", LABELS)
 def test_solids_are_closed_and_of_the_right_volume(label, tmp_path):
     wall = (label == WALL).sum() / FRAME**2
-    notches = (2 * save.NOTCH**2) * pinch(label) / FRAME**2
+    notches = (2 * save._NOTCH**2) * pinch(label) / FRAME**2
     size, depth, base = 70.0, 12.0, 3.0
     frame = size**2 * ((FRAME + 2) / FRAME) ** 2
     volumes = {"part": size**2 * (wall - notches) * depth}
     volumes["mould"] = frame * (base + depth) - volumes["part"]
     for name, solid in (("part", part(label, size, depth)), ("mould", mould(label, size, depth, base))):
-        write_stl(tmp_path / f"{name}.stl", *solid)
+        _write_stl(tmp_path / f"{name}.stl", *solid)
         read = trimesh.load_mesh(tmp_path / f"{name}.stl")
         assert read.is_watertight and read.is_winding_consistent and read.is_volume
         assert read.volume == pytest.approx(volumes[name], rel=1e-5)
@@ -125,11 +125,11 @@ def test_the_core_of_the_mould_is_where_the_cavity_is():
 
 def test_pinches_are_opened_and_nothing_else_is_touched():
     assert pinch(LABELS[-1]) >= 1 and pinch(LABELS[0]) == 0
-    x, y, cells = opened_grid(LABELS[0])
+    x, y, cells = _opened_grid(LABELS[0])
     assert np.array_equal(cells, LABELS[0][::-1]) and np.allclose(28 * x, np.arange(29))
-    x, y, cells = opened_grid(LABELS[-1])
+    x, y, cells = _opened_grid(LABELS[-1])
     area = np.diff(y)[:, None] * np.diff(x)
-    opened = pinch(LABELS[-1]) * 2 * save.NOTCH**2 / FRAME**2
+    opened = pinch(LABELS[-1]) * 2 * save._NOTCH**2 / FRAME**2
     assert (area * (cells == WALL)).sum() == pytest.approx((LABELS[-1] == WALL).mean() - opened)
     assert (area * (cells == VOID)).sum() == pytest.approx((LABELS[-1] == VOID).mean() + opened)
     assert pinch(cells) == 0
@@ -137,13 +137,13 @@ def test_pinches_are_opened_and_nothing_else_is_touched():
 
 @pytest.mark.parametrize("label", LABELS)
 def test_the_outline_is_closed_and_in_millimetres(label, tmp_path):
-    (tmp_path / "a.svg").write_text(outline_svg(label, size_mm=56))
+    (tmp_path / "a.svg").write_text(_outline_svg(label, size_mm=56))
     (path,), _, attributes = svgpathtools.svg2paths2(str(tmp_path / "a.svg"))
     assert attributes["width"] == attributes["height"] == "56mm" and attributes["viewBox"] == "0 0 56 56"
     borders = path.continuous_subpaths()
     assert len(borders) == 2 and all(border.isclosed() for border in borders)
     cavity, outer = sorted(abs(border.area()) for border in borders)
-    notches = 2 * save.NOTCH**2 * pinch(label)
+    notches = 2 * save._NOTCH**2 * pinch(label)
     assert cavity == pytest.approx(4 * ((label == VOID).sum() + notches), rel=1e-4)
     assert outer == pytest.approx(4 * (label > 0).sum(), rel=1e-4)
     left, right, top, bottom = path.bbox()
@@ -182,7 +182,9 @@ def test_every_file_is_read_by_others(designs, tmp_path):
         assert record["search"]["rejected"][1] == {
             "reason": "no_structure", "sentence": "The drawing holds no structure.", "drawings": 2
         }  # fmt: skip
-    assert json.loads((tmp_path / "out" / "designs.json").read_text()) == json.loads(json.dumps(search_record(designs)))
+    assert json.loads((tmp_path / "out" / "designs.json").read_text()) == json.loads(
+        json.dumps(_search_record(designs))
+    )
     assert os.listdir(tmp_path) == ["out"]
 
 

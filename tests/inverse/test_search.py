@@ -16,9 +16,9 @@ from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.descriptors import PARTS, get_descriptor
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.inverse import search as searching
-from inflate_lib.inverse.constraints import Constraints, is_symmetric, mirrored
+from inflate_lib.inverse.constraints import Constraints, _is_symmetric, mirrored
 from inflate_lib.inverse.refine import Rejection, attempt, refine, with_flipped
-from inflate_lib.inverse.search import Stop, corrected, diverse, find_model, models_in_order
+from inflate_lib.inverse.search import Stop, _corrected, _diverse, _find_model, models_in_order
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.mechanics import stress
 from inflate_lib.models.reach import save_reach
@@ -141,9 +141,9 @@ def test_a_biased_model_is_told_what_makes_it_hit():
     aim = wanted
     for _ in range(12):
         answer = 0.6 * aim + 0.3 + np.array([[-0.02], [0.0], [0.02]])
-        aim = corrected(aim, wanted, answer, model)
+        aim = _corrected(aim, wanted, answer, model)
     assert 0.6 * aim + 0.3 == pytest.approx(wanted, abs=1e-4)
-    assert corrected(np.array([1.9]), wanted, np.array([[0.2]]), model) == 2.0  # never beyond what it has seen
+    assert _corrected(np.array([1.9]), wanted, np.array([[0.2]]), model) == 2.0  # never beyond what it has seen
 
 
 def test_the_next_batch_is_told_the_correction(search, model, data, monkeypatch):
@@ -164,19 +164,19 @@ def test_diversity_is_greedy_max_min():
         either = (a > 0) | (b > 0)
         return (a != b)[either].sum() / either.sum()
 
-    chosen = diverse(labels, 6)
+    chosen = _diverse(labels, 6)
     assert chosen[0] == 0 and len(set(chosen)) == 6
     for k in range(1, 6):
         nearest = [min(distance(aligned[i], aligned[j]) for j in chosen[:k]) for i in range(25)]
         assert nearest[chosen[k]] == pytest.approx(max(nearest))
-    assert sorted(diverse(labels, 40)) == list(range(25)) and diverse([], 3) == []
+    assert sorted(_diverse(labels, 40)) == list(range(25)) and _diverse([], 3) == []
 
 
 def test_the_same_structure_elsewhere_is_not_another():
     label = label_image(DIGITS[0])
     shifted = [np.roll(label, shift, axis=1) for shift in (-2, 1, 2)]
     other = label_image(DIGITS[1])
-    assert diverse([label, *shifted, other], 2) == [0, 4]
+    assert _diverse([label, *shifted, other], 2) == [0, 4]
 
 
 def test_constraints_hold_for_all_that_is_handed_out(search, data):
@@ -187,7 +187,7 @@ def test_constraints_hold_for_all_that_is_handed_out(search, data):
         (Constraints(max_material=least), lambda one: (one.label == WALL).mean() <= least * (1 + 1e-9)),
         (Constraints(min_void=3 * PIXEL), lambda one: _opened(one.label)),
         (Constraints(keep_out=(0.0, 0.0, 0.2, 2.0)), lambda one: min(_lefts(one)) > 0.2),
-        (Constraints(symmetric=True), lambda one: is_symmetric(one.label)),
+        (Constraints(symmetric=True), lambda one: _is_symmetric(one.label)),
     ):
         found = search({"height": height}, 4, tolerance=0.3, constraints=demand, max_candidates=100)
         assert found.designs and all(holds(one) for one in found.designs), demand
@@ -287,15 +287,15 @@ def test_the_model_covers_what_is_asked(data, monkeypatch, tmp_path):
         (["height", "width", "area"], "box"), (["axis"], "axis"), (list(everything), "axis"),
     ):  # fmt: skip
         targets = Targets(**{key: everything[key] for key in asked})
-        model = find_model(targets)
+        model = _find_model(targets)
         assert model.name == model.trained.metadata["descriptor"] == name
         assert len(targets.vector(name)) == len(model.trained.condition_min) and np.isfinite(targets.vector(name)).all()
     weights("joint")
-    assert find_model(Targets(**everything)).name == "axis"
-    model = find_model(Targets(height=1.0, stress=0.2))
+    assert _find_model(Targets(**everything)).name == "axis"
+    model = _find_model(Targets(height=1.0, stress=0.2))
     assert model.name == "joint" and len(model.trained.condition_min) == 65
     (tmp_path / "laptop" / "height.safetensors").unlink()
-    assert find_model(Targets(height=1.0)).name == "joint"
+    assert _find_model(Targets(height=1.0)).name == "joint"
     assert [one.name for one in models_in_order()] == ["axis", "box", "area", "width", "height"]
 
 
@@ -336,7 +336,7 @@ def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, 
 def test_stress_without_a_joint_model_is_refused_with_a_way_out(search, monkeypatch, tmp_path):
     monkeypatch.setattr(paths, "PRETRAINED", tmp_path)
     way_out = "stress and stretch can be asked of the joint model only.*inflate train --descriptor joint.*low-stress"
-    for refused in (find_model, lambda targets: search(targets)):
+    for refused in (_find_model, lambda targets: search(targets)):
         with pytest.raises(ValueError, match=way_out):
             refused(Targets(height=0.9, stress=0.2, stretch=1.4))
 
@@ -370,7 +370,7 @@ def test_arguments_out_of_range_are_refused(search, options, message):
 def run(monkeypatch, capsys, tmp_path, model, data):
     """Run the command with that model; returns exit code, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(searching, "find_model", lambda targets, profile=None: model)
+    monkeypatch.setattr(searching, "_find_model", lambda targets, profile=None: model)
 
     def command(*arguments):
         monkeypatch.setattr(sys, "argv", ["inflate", "design", *arguments])

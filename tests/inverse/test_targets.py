@@ -12,13 +12,13 @@ from inflate_lib.descriptors import axis_height, joint_conditions
 from inflate_lib.inverse.drawings import read_outline
 from inflate_lib.inverse.targets import (
     Targets,
+    _outline_targets,
+    _read_axis,
     as_targets,
     deviations,
-    outline_targets,
-    read_axis,
     read_targets,
 )
-from inflate_lib.models.reach import check_reach, contradiction
+from inflate_lib.models.reach import _contradiction, check_reach
 from inflate_lib.structures.sources import load_sevens
 
 
@@ -33,7 +33,7 @@ def svg(path, body, head='width="100mm" height="100mm" viewBox="0 0 100 100"'):
 
 
 def test_a_circle_has_the_descriptors_of_a_circle(tmp_path):
-    targets = outline_targets(read_outline(svg(tmp_path / "a.svg", '<circle cx="50" cy="50" r="40"/>'), unit=100))
+    targets = _outline_targets(read_outline(svg(tmp_path / "a.svg", '<circle cx="50" cy="50" r="40"/>'), unit=100))
     assert (targets.height, targets.width) == pytest.approx((0.8, 0.8), abs=1e-12)
     assert targets.area == pytest.approx(np.pi * 0.16, rel=1e-3)  # a polygon with 128 corners
     assert np.allclose(targets.axis, np.column_stack([np.zeros(30), 0.8 * np.arange(30) / 30]), atol=1e-12)
@@ -54,7 +54,7 @@ def test_a_circle_has_the_descriptors_of_a_circle(tmp_path):
 )
 @pytest.mark.parametrize("head", ["", 'width="100mm" height="100mm" viewBox="0 0 100 100"', 'viewBox="0 0 9 9"'])
 def test_every_way_to_write_a_rectangle_means_the_same(tmp_path, body, head):
-    targets = outline_targets(read_outline(svg(tmp_path / "a.svg", body, head), unit=50))
+    targets = _outline_targets(read_outline(svg(tmp_path / "a.svg", body, head), unit=50))
     assert (targets.height, targets.width, targets.area) == pytest.approx((1.2, 0.6, 0.72), abs=1e-9)
     assert np.allclose(targets.axis[:, 0], 0, atol=1e-9)
 
@@ -66,19 +66,19 @@ def test_a_picture_is_measured_at_the_edges_of_its_pixels(tmp_path, filled, inve
     ink = 255 * (not inverted)
     ImageDraw.Draw(picture).rectangle((20, 30, 59, 109), fill=ink if filled else None, outline=ink)
     picture.save(tmp_path / "a.png")
-    targets = outline_targets(read_outline(tmp_path / "a.png", unit=80))
+    targets = _outline_targets(read_outline(tmp_path / "a.png", unit=80))
     assert (targets.height, targets.width) == pytest.approx((1.0, 0.5), abs=1e-12)
     assert targets.area == pytest.approx(0.5, rel=2e-3)  # the border cuts the four corners off
 
 
 def test_a_slanted_outline_leans_as_drawn(tmp_path):
     """Up is up: the picture's y runs downwards, and the axis leans to the side that the drawing leans to."""
-    drawn = outline_targets(read_outline(svg(tmp_path / "a.svg", '<path d="M0 80 h40 L60 0 h-40 z"/>'), unit=80))
+    drawn = _outline_targets(read_outline(svg(tmp_path / "a.svg", '<path d="M0 80 h40 L60 0 h-40 z"/>'), unit=80))
     assert np.allclose(drawn.axis[:, 0], 0.25 * np.arange(30) / 30, atol=1e-12)
     picture = Image.new("L", (200, 200))
     ImageDraw.Draw(picture).polygon([(20, 180), (100, 180), (140, 20), (60, 20)], fill=255)
     picture.save(tmp_path / "a.png")
-    pixels = outline_targets(read_outline(tmp_path / "a.png", unit=160))
+    pixels = _outline_targets(read_outline(tmp_path / "a.png", unit=160))
     assert np.abs(pixels.axis - drawn.axis).max() < 2 / 160
 
 
@@ -91,7 +91,7 @@ def test_the_outline_of_a_structure_asks_for_that_structure(tmp_path, data):
     hull = result.deformed()[ConvexHull(result.deformed()).vertices]
     points = " ".join(f"{x:.17g},{-y:.17g}" for x, y in 40 * hull)
     shape = describe(result)
-    drawn = outline_targets(read_outline(svg(tmp_path / "a.svg", f'<polygon points="{points}"/>'), unit=40))
+    drawn = _outline_targets(read_outline(svg(tmp_path / "a.svg", f'<polygon points="{points}"/>'), unit=40))
     assert max(deviations(drawn, shape).values()) < 1e-12
     check_reach(drawn.vectors, data)
 
@@ -101,7 +101,7 @@ def test_an_axis_file_gives_back_its_points(tmp_path, data):
     lines = [f"{x!r},{y!r}" for x, y in axis.tolist()]
     for text in ("\n".join(lines), "x,y\n" + "\n".join(lines), "\ufeffX, Y\r\n\r\n" + "\r\n".join(lines) + "\r\n"):
         (tmp_path / "axis.csv").write_text(text, encoding="utf-8")
-        assert np.allclose(read_axis(tmp_path / "axis.csv"), axis, rtol=0, atol=1e-15)
+        assert np.allclose(_read_axis(tmp_path / "axis.csv"), axis, rtol=0, atol=1e-15)
     assert Targets(axis=axis).vector("height")[0] == pytest.approx(data["height"].values[3], rel=1e-12)
 
 
@@ -195,7 +195,7 @@ def test_stress_goes_with_an_outline():
 def test_each_within_reach_is_not_both(data):
     """The tallest structure with the width of the slimmest one: both occur, never together."""
     targets = as_targets({"height": float(data.height.max()), "width": float(data.width.min())})
-    assert not contradiction(targets.vectors)
+    assert not _contradiction(targets.vectors)
     with pytest.raises(ValueError, match="together they cannot be reached: the closest of all structures misses by"):
         check_reach(targets.vectors, data)
 

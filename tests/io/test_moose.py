@@ -91,7 +91,7 @@ def test_input_says_what_the_paper_solves(mesh, tmp_path):
 
 
 def test_input_takes_every_parameter():
-    case = read_hit(moose.input_text("a", n_steps=4, element="q1", pressure=2e-5, lame=(3, 0.5)))
+    case = read_hit(moose._input_text("a", n_steps=4, element="q1", pressure=2e-5, lame=(3, 0.5)))
     assert case["GlobalParams"]["stabilize_strain"] == "false"
     assert {case["Materials"]["stress"][name] for name in ("lambda", "mu")} == {"3.0", "0.5"}
     assert numbers(case["Functions"]["inflation"]["y"]) == pytest.approx([0, 5e-6, 1e-5, 1.5e-5, 2e-5], rel=1e-15)
@@ -101,13 +101,13 @@ def test_input_takes_every_parameter():
 
 def test_input_takes_the_history_that_we_take():
     pressures = [0.01, -0.002, 1 / 3, 0]
-    case = read_hit(moose.input_text("a", pressure=pressures))
+    case = read_hit(moose._input_text("a", pressure=pressures))
     assert numbers(case["Functions"]["inflation"]["y"]) == [0, *pressures]
     result = inflate(LABEL, pressure=np.array([0.01, 0.002, 0.005, 0]))
     assert numbers(case["Functions"]["inflation"]["x"]) == [0, *result.load_steps]
     for name, wrong in (("pressure", []), ("n_steps", 0), ("element", "q2")):
         with pytest.raises(ValueError, match=name):
-            moose.input_text("a", **{name: wrong})
+            moose._input_text("a", **{name: wrong})
 
 
 @pytest.mark.parametrize("name", ["", "two words", "a/b", "it's"])
@@ -304,4 +304,4 @@ def test_a_run_without_results_says_why(result, stand_in, tmp_path, monkeypatch)
         moose.run_case(replace(result), case[0], time_limit=0.5)
     monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
     with pytest.raises(RuntimeError, match="solid_mechanics-opt nor combined-opt"):
-        moose.find_program()
+        moose._find_program()

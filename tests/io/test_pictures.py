@@ -16,7 +16,7 @@ from inflate_lib.io.vtk import write_vtk
 from inflate_lib.mechanics import stress
 from inflate_lib.plotting.mechanics import animate_inflation
 from inflate_lib.plotting.structures import draw_inflated
-from inflate_lib.structures.labels import EDGES
+from inflate_lib.structures.labels import _EDGES
 from inflate_lib.structures.sources import load_sevens
 
 
@@ -124,7 +124,7 @@ def test_history_that_ends_at_rest_is_drawn(tmp_path):
     plt.close(fig)
 
 
-@pytest.mark.parametrize("edge", EDGES)
+@pytest.mark.parametrize("edge", _EDGES)
 def test_the_ground_is_drawn_behind_the_clamped_edge(edge):
     image = load_sevens("digits").images[0]
     result = inflate(label_image(image, clamped=edge), n_steps=1, clamped=edge)

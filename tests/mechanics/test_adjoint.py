@@ -10,9 +10,9 @@ from scipy.stats import combine_pvalues, spearmanr
 
 from inflate_lib import build_mesh, describe, inflate, label_image
 from inflate_lib.inverse.constraints import Constraints
-from inflate_lib.inverse.refine import attempt, border, most_promising, refine, with_flipped
+from inflate_lib.inverse.refine import _most_promising, attempt, border, refine, with_flipped
 from inflate_lib.inverse.targets import Targets
-from inflate_lib.mechanics.adjoint import DIFFERENTIABLE, area_gradient, flip_changes, sensitivities
+from inflate_lib.mechanics.adjoint import DIFFERENTIABLE, _area_gradient, flip_changes, sensitivities
 from inflate_lib.structures.labels import WALL
 from inflate_lib.structures.sources import load_sevens
 
@@ -61,8 +61,8 @@ def test_stiffer_walls_are_the_same_as_less_pressure(name):
 def test_area_of_a_polygon_follows_its_corners():
     square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
     outwards = np.array([[-1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [-1.0, 0.0]])  # the left side, of length 1
-    assert np.sum(area_gradient(square) * outwards) == pytest.approx(1)
-    assert np.sum(area_gradient(square) * [1.0, 1.0]) == pytest.approx(0)  # moved as a whole
+    assert np.sum(_area_gradient(square) * outwards) == pytest.approx(1)
+    assert np.sum(_area_gradient(square) * [1.0, 1.0]) == pytest.approx(0)  # moved as a whole
 
 
 def test_the_changes_of_a_flip_are_added_up():
@@ -103,7 +103,7 @@ def test_the_most_promising_pixel_is_the_one_whose_estimate_fits():
     estimate, pixels = flip_changes(label, sensitivities(result, "height")), border(label)
     for share in (0.99, 1.01):
         wanted = share * describe(result).height
-        first = most_promising(pixels, label, result, Targets(height=wanted))[0]
+        first = _most_promising(pixels, label, result, Targets(height=wanted))[0]
         missed = np.abs(describe(result).height + estimate[tuple(pixels.T)] - wanted)
         assert tuple(first) == tuple(pixels[missed.argmin()])
 

@@ -18,7 +18,7 @@ from inflate_lib import build_mesh, describe, inflate, label_image
 from inflate_lib.mechanics import inflation
 from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, Inflation, build_system, shape_gradients
 from inflate_lib.mechanics.mesh import Mesh
-from inflate_lib.structures.labels import EDGES
+from inflate_lib.structures.labels import _EDGES
 from inflate_lib.structures.sources import load_sevens, resolve_source
 
 DIGITS = load_sevens("digits").images
@@ -346,7 +346,7 @@ def test_suction_moves_the_other_way():
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_a_turned_structure_inflates_to_the_turned_shape(turns):
     """The n-th of EDGES comes to the bottom by n quarter turns; u(R X) = R u(X)."""
-    image, edge = DIGITS[10], EDGES[turns]
+    image, edge = DIGITS[10], _EDGES[turns]
     upright = inflate(label_image(image), n_steps=3)
     turned = inflate(label_image(np.rot90(image, -turns), clamped=edge), n_steps=3, clamped=edge)
     R = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), turns)  # brings the edge to the bottom

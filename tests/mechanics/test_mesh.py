@@ -9,7 +9,7 @@ from mechanics_peers import hook, random_label
 
 from inflate_lib import build_mesh, label_image
 from inflate_lib.mechanics.mesh import boundary_edges, boundary_loops
-from inflate_lib.structures.labels import EDGES
+from inflate_lib.structures.labels import _EDGES
 from inflate_lib.structures.sources import load_sevens
 
 DIGITS = load_sevens("digits").images
@@ -64,7 +64,7 @@ def test_mirrored_label_has_the_mirrored_mesh(label):
 @given(labels, st.sampled_from(range(4)))
 @settings(max_examples=30, deadline=None)
 def test_turned_label_has_the_turned_mesh(label, turns):
-    mesh, turned = build_mesh(label), build_mesh(np.rot90(label, -turns), clamped=EDGES[turns])
+    mesh, turned = build_mesh(label), build_mesh(np.rot90(label, -turns), clamped=_EDGES[turns])
 
     def described(mesh, turns):
         """Nodes, held nodes, and the two ends of each pressure edge, turned and in an order of their own."""
@@ -124,12 +124,12 @@ def test_ground_may_close_the_cavity_at_the_clamped_edge_only(turns):
     label[:2] = label[2]  # the wall reaches three edges of the image
     label[:, 0] = label[:, 1]
     label = np.rot90(label, -turns)
-    mesh = build_mesh(label, clamped=EDGES[turns])
+    mesh = build_mesh(label, clamped=_EDGES[turns])
     assert not mesh.clamped[mesh.pressure_edges].all(axis=1).any()
     assert mesh.clamped[mesh.pressure_edges].sum() == 2
     for other in (1, 2):
         with pytest.raises(ValueError, match="cavity is open"):
-            build_mesh(label, clamped=EDGES[(turns + other) % 4])
+            build_mesh(label, clamped=_EDGES[(turns + other) % 4])
 
 
 @pytest.mark.parametrize("edge", ["ceiling", None, 0, ["top"]])

@@ -9,7 +9,7 @@ from mechanics_peers import graded_mesh, hook, inflate_with_felupe
 from scipy.interpolate import CubicSpline
 
 from inflate_lib import build_mesh, describe, inflate, label_image, paths
-from inflate_lib.datasets.settings import SETTINGS, Setting, simulate_setting
+from inflate_lib.datasets.settings import SETTINGS, _Setting, simulate_setting
 from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, shape_gradients
 from inflate_lib.mechanics.material import first_piola_kirchhoff
 from inflate_lib.mechanics.reference import incompressible_tube, quarter_ring, tube
@@ -166,7 +166,7 @@ def test_settings_are_simulated():
     images = DIGITS[:3]
     shapes = [describe(inflate(label_image(image, threshold=0.4), element="q1")) for image in images]
     expected = [[shape.height, shape.width, shape.hull_area] for shape in shapes]
-    assert np.allclose(simulate_setting(images, Setting(threshold=0.4, element="q1")), expected, rtol=1e-9)
-    assert SETTINGS[0] == Setting() and len(set(SETTINGS)) == len(SETTINGS)
-    blank = simulate_setting(np.zeros((2, 28, 28)), Setting())
+    assert np.allclose(simulate_setting(images, _Setting(threshold=0.4, element="q1")), expected, rtol=1e-9)
+    assert SETTINGS[0] == _Setting() and len(set(SETTINGS)) == len(SETTINGS)
+    blank = simulate_setting(np.zeros((2, 28, 28)), _Setting())
     assert blank.shape == (2, 3) and np.isnan(blank).all()

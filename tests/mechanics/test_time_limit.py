@@ -9,7 +9,7 @@ from inflate_lib.datasets.simulate import TIME_LIMIT
 from inflate_lib.mechanics import inflation
 from inflate_lib.structures.sources import load_sevens
 
-LIMIT = inflation.FACTORISATIONS[0]
+LIMIT = inflation._FACTORISATIONS[0]
 SEVEN = label_image(load_sevens("digits").images[0])
 
 
@@ -82,14 +82,14 @@ def test_extreme_structures_end_in_time(shape, pressure):
 
 def test_who_runs_out_of_effort_says_so(monkeypatch):
     label, free = SEVEN, inflate(SEVEN)
-    monkeypatch.setattr(inflation, "FACTORISATIONS", (20, 2))
+    monkeypatch.setattr(inflation, "_FACTORISATIONS", (20, 2))
     short = inflate(label)
     assert short.factorisations == 20 and not short.converged
     assert "within 20 factorisations" in short.reason and "load step" in short.reason
     reached = np.isfinite(short.displacement).all(axis=(1, 2)).sum()
     assert 0 < reached < 10 and f"load step {reached + 1} of 10" in short.reason
     assert np.array_equal(short.displacement[:reached], free.displacement[:reached])
-    monkeypatch.setattr(inflation, "FACTORISATIONS", (20, 8))  # eight per load step are more than enough
+    monkeypatch.setattr(inflation, "_FACTORISATIONS", (20, 8))  # eight per load step are more than enough
     assert np.array_equal(inflate(label).displacement, free.displacement)
 
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from inflate_lib.descriptors import describe, get_descriptor, mirror_axis
 from inflate_lib.structures.augmentation import (
     PAPER_SAMPLES,
-    allowed_variants,
+    _allowed_variants,
+    _structure_boxes,
     apply_variants,
     augment,
     augment_descriptors,
-    structure_boxes,
 )
 from inflate_lib.structures.labels import label_image
 from inflate_lib.structures.sources import load_sevens, resolve_source
@@ -63,7 +63,7 @@ def test_allowed_variants_are_all_that_keep_the_box_inside(box, max_shift):
             for shift_y in range(-max_shift, max_shift + 1):
                 if first + shift_x >= 0 and last + shift_x <= 27 and top + shift_y >= 0 and bottom + shift_y <= 27:
                     expected.add((0, flip, shift_x, shift_y))
-    variants = allowed_variants(np.array([[top, bottom, left, right]]), max_shift)
+    variants = _allowed_variants(np.array([[top, bottom, left, right]]), max_shift)
     assert len(variants) == len(expected)
     assert set(map(tuple, variants)) == expected
     assert tuple(variants[0]) == (0, 0, 0, 0)
@@ -73,10 +73,10 @@ def test_box_is_that_of_digit_and_wall():
     image = np.zeros((28, 28))
     image[3:10, 4:7] = 1
     image[20, 20] = 1  # a speck does not count
-    assert structure_boxes([image]).tolist() == [[1, 11, 2, 8]]
+    assert _structure_boxes([image]).tolist() == [[1, 11, 2, 8]]
     for label in map(label_image, IMAGES[:5]):
         rows, columns = np.nonzero(label)
-        assert structure_boxes([label]).tolist() == [[rows.min(), rows.max(), columns.min(), columns.max()]]
+        assert _structure_boxes([label]).tolist() == [[rows.min(), rows.max(), columns.min(), columns.max()]]
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from inflate_lib.structures.labels import EDGES, EIGHT_NEIGHBOURS, MIN_PIXELS, label_image, stages
+from inflate_lib.structures.labels import _EDGES, _EIGHT_NEIGHBOURS, _MIN_PIXELS, label_image, stages
 from inflate_lib.structures.sources import load_sevens, resolve_source
 
 EMBEDDED = load_sevens("digits").images
@@ -46,9 +46,9 @@ def test_wall_closes_the_void_and_stands_on_the_ground(structure):
     # two pixels of wall around the void: the outside begins at the third
     two_around = ndimage.binary_dilation(void, np.ones((5, 5)))
     assert not np.any(two_around[1:-1, 1:-1] & (label == 0))
-    assert not np.any(ndimage.binary_dilation(void, EIGHT_NEIGHBOURS) & outside)
+    assert not np.any(ndimage.binary_dilation(void, _EIGHT_NEIGHBOURS) & outside)
     assert np.array_equal(two_around[1:-1, 1:-1], label > 0)
-    assert ndimage.label(void, EIGHT_NEIGHBOURS)[1] == 1
+    assert ndimage.label(void, _EIGHT_NEIGHBOURS)[1] == 1
     assert label[-1].any() and np.all(label[-2:] != 1)
 
 
@@ -64,7 +64,7 @@ def test_label_image_is_its_own_label_image(structure):
 def test_mirror_image_has_the_mirrored_structure(structure):
     image, label = structure
     # the largest component is unique, unless two have the same size
-    sizes = np.sort(np.bincount(ndimage.label(stages(image).grey > 0.5, EIGHT_NEIGHBOURS)[0].ravel())[1:])
+    sizes = np.sort(np.bincount(ndimage.label(stages(image).grey > 0.5, _EIGHT_NEIGHBOURS)[0].ravel())[1:])
     assume(len(sizes) == 1 or sizes[-1] > sizes[-2])
     assert np.array_equal(label_image(image[:, ::-1]), label[:, ::-1])
 
@@ -126,11 +126,11 @@ def test_structure_at_the_border_is_moved_inside_and_stays_closed():
 def test_a_turned_image_has_the_turned_structure_at_the_turned_edge(structure, turns):
     """Number n of EDGES comes to the bottom by n quarter turns."""
     image, label = structure
-    sizes = np.sort(np.bincount(ndimage.label(stages(image).grey > 0.5, EIGHT_NEIGHBOURS)[0].ravel())[1:])
+    sizes = np.sort(np.bincount(ndimage.label(stages(image).grey > 0.5, _EIGHT_NEIGHBOURS)[0].ravel())[1:])
     assume(len(sizes) == 1 or sizes[-1] > sizes[-2])
-    at_edge = label_image(np.rot90(image, -turns), clamped=EDGES[turns])
+    at_edge = label_image(np.rot90(image, -turns), clamped=_EDGES[turns])
     assert np.array_equal(np.rot90(at_edge, turns), label)
-    assert np.array_equal(label_image(at_edge, clamped=EDGES[turns]), at_edge)
+    assert np.array_equal(label_image(at_edge, clamped=_EDGES[turns]), at_edge)
 
 
 def test_structure_at_each_edge():
@@ -172,7 +172,7 @@ def square(side, value=1.0):
     [
         (np.zeros((28, 28)), "blank"),
         (np.full((28, 28), 127, np.uint8), "blank"),
-        (square(3), f"9 pixels, fewer than {MIN_PIXELS}"),
+        (square(3), f"9 pixels, fewer than {_MIN_PIXELS}"),
         (square(25), "29 pixels wide and 29 high"),
         (np.ones((28, 28)), "32 pixels wide and 32 high"),
         (np.ones((8, 8)), r"shape \(8, 8\)"),
@@ -232,7 +232,7 @@ def test_padding_saves_607_of_the_6265_sevens(sevens):
 
     def is_open(label):
         outside = np.pad(label, 1) == 0
-        return np.any(ndimage.binary_dilation(np.pad(label == 1, 1), EIGHT_NEIGHBOURS) & outside)
+        return np.any(ndimage.binary_dilation(np.pad(label == 1, 1), _EIGHT_NEIGHBOURS) & outside)
 
     assert not any(is_open(label) for label in labels)
     opened = [is_open(label_image(image, pad=False)) for image in sevens]
@@ -242,4 +242,4 @@ def test_padding_saves_607_of_the_6265_sevens(sevens):
 @pytest.mark.mnist
 def test_no_seven_is_near_the_limit_of_a_speck(sevens):
     smallest = min(stages(image).component.sum() for image in sevens)
-    assert smallest > 1.5 * MIN_PIXELS
+    assert smallest > 1.5 * _MIN_PIXELS

@@ -11,9 +11,9 @@ from sklearn.datasets import load_digits
 
 from inflate_lib import paths
 from inflate_lib.structures import sources
-from inflate_lib.structures.sources import FILES, load_sevens, resolve_source
+from inflate_lib.structures.sources import _FILES, load_sevens, resolve_source
 
-IMAGES, LABELS = FILES["train"]
+IMAGES, LABELS = _FILES["train"]
 
 
 @pytest.fixture(autouse=True)
@@ -33,7 +33,7 @@ def small_mnist(tmp_path, monkeypatch):
         LABELS: np.array([2049, 10], ">i4").tobytes() + digits.tobytes(),
     }
     for name, content in contents.items():
-        monkeypatch.setitem(sources.SHA256, name, hashlib.sha256(content).hexdigest())
+        monkeypatch.setitem(sources._SHA256, name, hashlib.sha256(content).hexdigest())
         (tmp_path / f"{name}.gz").write_bytes(gzip.compress(content))
     monkeypatch.setenv("INFLATE_MNIST_DIR", str(tmp_path))
     return tmp_path, pixels[digits == 7]
@@ -81,7 +81,7 @@ def test_what_was_remembered_and_damaged_is_replaced(small_mnist, cache):
     flip_a_bit(cache / IMAGES)
     load_sevens()
     assert np.array_equal(np.frombuffer((cache / IMAGES).read_bytes()[16:], np.uint8)[:784], expected[0].ravel())
-    assert sorted(path.name for path in cache.iterdir()) == sorted(FILES["train"])
+    assert sorted(path.name for path in cache.iterdir()) == sorted(_FILES["train"])
 
 
 def test_nothing_damaged_is_remembered(small_mnist, cache):
@@ -123,7 +123,7 @@ def make_empty(path):
 
 
 @pytest.mark.parametrize("source", ["auto", "mnist"])
-@pytest.mark.parametrize("name", FILES["train"])
+@pytest.mark.parametrize("name", _FILES["train"])
 @pytest.mark.parametrize("damage", [truncate, flip_a_bit, change_a_pixel, not_gzip, make_empty])
 def test_damaged_files_are_named_and_not_used(small_mnist, damage, name, source):
     folder, _ = small_mnist
@@ -195,7 +195,7 @@ def test_second_mirror_serves_when_the_first_one_lies(small_mnist, no_folder, mo
     folder, expected = small_mnist
 
     def answer(url):
-        if url.startswith(sources.MIRRORS[0]):
+        if url.startswith(sources._MIRRORS[0]):
             return gzip.compress(b"something else") if "images" in url else b"<html>log in first</html>"
         return (folder / Path(url).name).read_bytes()
 
@@ -204,7 +204,7 @@ def test_second_mirror_serves_when_the_first_one_lies(small_mnist, no_folder, mo
     assert len(asked) == 4
     assert np.array_equal(load_sevens("auto").images, expected)
     assert len(asked) == 4  # now from the cache
-    assert sorted(path.name for path in (paths.CACHE / "mnist").iterdir()) == sorted(FILES["train"])
+    assert sorted(path.name for path in (paths.CACHE / "mnist").iterdir()) == sorted(_FILES["train"])
 
 
 def test_damaged_cache_is_downloaded_again(small_mnist, no_folder, monkeypatch):
