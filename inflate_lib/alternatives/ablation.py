@@ -43,9 +43,10 @@ def _sampling_variants(sampling):
     """Ways of sampling, (group, name) → options of :func:`inflate_lib.diffusion.generate`."""
     variants = {("guidance", f"w = {w:g}"): {**sampling, "guidance": w} for w in _GUIDANCE}
     variants["sampler", "ancestral, all steps"] = {**sampling, "sampler": "ancestral"}
-    for sampler, name in (("ddim", "DDIM"), ("dpm-solver++", "DPM-Solver++")):
+    ways = {"DDIM": {"sampler": "ddim"}, "DPM-Solver++": {"sampler": "dpm-solver++", "eta": 0.0}}
+    for name, way in ways.items():
         for steps in _FAST:
-            variants["sampler", f"{name}, {steps} steps"] = {**sampling, "sampler": sampler, "steps": steps}
+            variants["sampler", f"{name}, {steps} steps"] = {**sampling, **way, "steps": steps}
     return variants
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inflate_lib._checks import choice, number, share, whole_number
+from inflate_lib._checks import choice, number, positive_number, share, whole_number
 from inflate_lib.diffusion import process
 from inflate_lib.diffusion._random import random_generator
 from inflate_lib.diffusion.model import TrainedModel
@@ -21,13 +21,18 @@ from inflate_lib.diffusion.training import choose_device
 _SAMPLERS = ("ancestral", "ddim", "dpm-solver++")
 
 
-def _timesteps(T: int, steps: int) -> list[int]:
-    """Zero-based time steps of a sampler with ``steps`` steps, spaced evenly *down from the last*, T − 1.
+def _timesteps(T: int, steps: int, crowding: float = 1.0) -> list[int]:
+    """Zero-based time steps of a sampler with ``steps`` steps, *down from the last*, T − 1: T (k / steps)^crowding.
 
-    This is the spacing called "trailing": a sampler must begin where its input, pure noise, belongs.
+    With crowding 1 this is the even spacing called "trailing": a sampler must begin where its input, pure noise,
+    belongs. Above 1 the steps crowd near the image, below 1 near the noise.
     """
     whole_number("steps", steps, 1, T)
-    return (np.round(np.arange(T, 0, -T / steps)).astype(int) - 1).tolist()[:steps]
+    positive_number("crowding", crowding)
+    times = np.round(T * (np.arange(steps, 0, -1) / steps) ** crowding)
+    # No two alike: a step that rounds onto its neighbour moves to the next free time.
+    times = np.maximum(times, np.arange(steps, 0, -1))
+    return (np.minimum(times, T - np.arange(steps)).astype(int) - 1).tolist()
 
 
 def ancestral_step(schedule: Schedule, x0: Tensor, x: Tensor, t: Tensor, noise: Tensor) -> Tensor:
@@ -60,19 +65,26 @@ def ddim_step(
 
 
 def _dpm_solver_step(
-    schedule: Schedule, x0: Tensor, x: Tensor, t: int, previous: int, last: tuple[int, Tensor] | None
+    schedule: Schedule,
+    x0: Tensor,
+    x: Tensor,
+    t: int,
+    previous: int,
+    last: tuple[int, Tensor] | None,
+    eta: float = 0.0,
+    noise: Tensor | None = None,
 ) -> Tensor:
-    """Step of DPM-Solver++(2M) from time t to ``previous`` (Lu et al. 2022, algorithm 2).
+    """Step of DPM-Solver++(2M) from time t to ``previous`` (Lu et al. 2022, algorithm 2); with ``eta`` 1 of its SDE.
 
-    It is the DDIM step without noise, with the estimate of x₀ extrapolated half a step along ln SNR, from the one made
-    at the step before: ``last`` is that step's time and estimate. The first step has none, and the last one, to the
-    clean image, would be infinitely long on this scale: they are plain DDIM.
+    It is the DDIM step, with the estimate of x₀ extrapolated half a step along ln SNR, from the one made at the step
+    before: ``last`` is that step's time and estimate. The first step has none, and the last one, to the clean image,
+    would be infinitely long on this scale: they are plain DDIM.
     """
     if last is not None and previous >= 0:
         log_snr = schedule.signal_to_noise.log()
         ratio = (log_snr[previous] - log_snr[t]) / (log_snr[t] - log_snr[last[0]])
         x0 = x0 + ratio.item() / 2 * (x0 - last[1])
-    return ddim_step(schedule, x0, x, t, previous)
+    return ddim_step(schedule, x0, x, t, previous, eta, noise)
 
 
 def guided(net: Callable, x: Tensor, t: Tensor, conditions: Tensor, guidance: float) -> Tensor:
@@ -95,6 +107,7 @@ def denoise(
     steps: int = 20,
     eta: float = 1.0,
     clip: bool = True,
+    crowding: float = 1.0,
 ) -> Iterator[Tensor]:
     """The reverse process, one state after another: x_T first, x_0 last.
 
@@ -104,13 +117,14 @@ def denoise(
         ``predict(x, t)`` with t (n,) → the network's answer.
     noise : iterator of Tensor
         Standard normal tensors, the first of which is x_T.
-    sampler, steps, eta
+    sampler, steps, eta, crowding
         As in ``generate``.
     clip : bool
         Clip the estimates of x₀ to [−1, 1].
     """
     choice("sampler", sampler, _SAMPLERS)
-    times = _timesteps(len(schedule), len(schedule) if sampler == "ancestral" else steps)
+    T = len(schedule)
+    times = _timesteps(T, T) if sampler == "ancestral" else _timesteps(T, steps, crowding)
     x, last = next(noise), None
     yield x
     for time, previous in zip(times, times[1:] + [-1], strict=True):
@@ -119,11 +133,10 @@ def denoise(
         x0 = x0.clamp(-1, 1) if clip else x0
         if sampler == "ancestral":
             x = ancestral_step(schedule, x0, x, t, next(noise))
-        elif sampler == "ddim":
-            x = ddim_step(schedule, x0, x, time, previous, eta, next(noise) if eta > 0 else None)
         else:
-            x = _dpm_solver_step(schedule, x0, x, time, previous, last)
-            last = time, x0
+            fresh = next(noise) if eta > 0 else None
+            x = _dpm_solver_step(schedule, x0, x, time, previous, last, eta, fresh)
+            last = (time, x0) if sampler == "dpm-solver++" else None  # without it, the step is that of DDIM
         yield x
 
 
@@ -135,6 +148,9 @@ def generate(
     steps: int = 20,
     eta: float = 1.0,
     guidance: float = 1.0,
+    guided_from: float = 0.0,
+    guided_to: float = 1.0,
+    crowding: float = 1.0,
     batch_size: int = 256,
     trajectory: list | None = None,
     device: str = "auto",
@@ -151,13 +167,18 @@ def generate(
     seed : int
         Structure i depends on the seed, on i and on its own target alone, not on the batch size.
     sampler : "ancestral", "ddim" or "dpm-solver++"
-        All T steps with σ² = β (paper), or ``steps`` steps of DDIM or of the second-order DPM-Solver++(2M).
+        All T steps with σ² = β (paper), or ``steps`` steps of DDIM or of the second-order DPM-Solver++(2M), each with
+        noise of its own as ``eta`` says.
     steps : int
         Number of steps; the ancestral sampler ignores it and takes all T.
     eta : float
-        Noise of DDIM between 0 (deterministic) and 1; the others ignore it.
+        Noise between 0 (deterministic) and 1 (as much as the exact posterior has); the ancestral sampler ignores it.
     guidance : float
         w of u + w (c − u): 1 is plain conditional (paper), 0 unconditional.
+    guided_from, guided_to : float
+        Guide at times t/T between these two alone; elsewhere w = 1, which costs half (Kynkäänniemi et al. 2024).
+    crowding : float
+        1 spaces the steps evenly; above it they crowd near the image, below it near the noise.
     batch_size : int
         Structures denoised at a time.
     trajectory : list, optional
@@ -180,6 +201,8 @@ def generate(
     scaled = torch.from_numpy(model.scaled(_checked(model, conditions))).float()
     share("eta", eta)
     number("guidance", guidance)
+    share("guided_from", guided_from)
+    share("guided_to", guided_to)
     whole_number("batch_size", batch_size, 1)
     place = choose_device(device)
     net, size = model.net.to(place).eval(), model.image_size
@@ -189,12 +212,15 @@ def generate(
         y = scaled[rows.start : rows.stop].to(place)
 
         def predict(x, t, y=y):
-            return guided(net, x, t.to(place), y, guidance)
+            inside = guided_from <= (t[0].item() + 1) / len(model.schedule) <= guided_to
+            return guided(net, x, t.to(place), y, guidance if inside else 1)
 
         with torch.inference_mode():
             noise = noise_images(seed, range(start + rows.start, start + rows.stop), size, place)
             states.append([])
-            for x in denoise(predict, model.schedule, noise, model.config.objective, sampler, steps, eta):
+            for x in denoise(
+                predict, model.schedule, noise, model.config.objective, sampler, steps, eta, crowding=crowding
+            ):
                 if trajectory is None:
                     states[-1].clear()  # only the last state is wanted
                 states[-1].append(x[:, 0].cpu())

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from inflate_lib import paths
-from inflate_lib._checks import choice, number, share, whole_number
+from inflate_lib._checks import choice, number, positive_number, share, whole_number
 from inflate_lib._yaml import read_yaml
 from inflate_lib.descriptors import get_descriptor
 
@@ -37,6 +37,9 @@ SAMPLING = {
     "steps": partial(whole_number, least=1),
     "eta": share,
     "guidance": number,
+    "guided_from": share,
+    "guided_to": share,
+    "crowding": positive_number,
 }
 
 

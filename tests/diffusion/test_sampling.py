@@ -189,6 +189,24 @@ def test_dpm_solver_agrees_with_diffusers(objective, steps):
         torch.testing.assert_close(state, x, rtol=0, atol=2e-4 if objective == "epsilon" else 2e-6)
 
 
+@pytest.mark.parametrize("objective", process._OBJECTIVES)
+def test_dpm_solver_with_noise_agrees_with_diffusers(objective):
+    """With η = 1 it solves the stochastic equation; where they extrapolate nothing either, it is DDIM's step."""
+    options = {"timestep_spacing": "trailing", "prediction_type": PREDICTION_TYPES[objective]}
+    theirs = diffusers_scheduler("DPMSolverMultistepScheduler", algorithm_type="sde-dpmsolver++", **options)
+    theirs.set_timesteps(10)
+    g = torch.Generator().manual_seed(0)
+    x, *noise = torch.randn(11, 100, 1, 1, 1, generator=g, dtype=torch.float64)
+
+    def predict(x, t):
+        return TWO_HILLS.answer(x, t, objective)
+
+    _, *ours = denoise(predict, SCHEDULE, iter([x, *noise]), objective, "dpm-solver++", 10, 1.0, clip=False)
+    for t, state, fresh in zip(theirs.timesteps, ours, noise, strict=True):
+        x = theirs.step(predict(x, [t]), t, x, variance_noise=fresh).prev_sample.double()
+        torch.testing.assert_close(state, x, rtol=0, atol=2e-4 if objective == "epsilon" else 2e-6)
+
+
 def test_dpm_solver_is_of_second_order():
     """For Gaussian data the path from noise to image is known: x keeps its distance from the mean, in deviations."""
     z = torch.linspace(-2, 2, 9, dtype=torch.float64)
@@ -208,9 +226,11 @@ def test_dpm_solver_is_of_second_order():
     assert error(20, True) < 0.2 * error(20, False)
 
 
+@pytest.mark.parametrize("crowding", [0.2, 0.7, 1, 1.5, 4])
 @pytest.mark.parametrize("steps", [1, 2, 3, 7, 20, 50, 999, 1000])
-def test_time_steps_start_at_the_end_and_fall(steps):
-    times = _timesteps(1000, steps)
+def test_time_steps_start_at_the_end_and_fall(steps, crowding):
+    times = _timesteps(1000, steps, crowding)
+    assert _timesteps(1000, 5, 2) == [999, 639, 359, 159, 39]  # 1000 (k / 5)², less one
     assert len(times) == steps and times[0] == 999 and times[-1] >= 0
     assert all(a > b for a, b in pairwise(times))
 
@@ -228,6 +248,18 @@ def test_guidance_convention():
     x, y = torch.zeros(1, 1, 2, 2), torch.zeros(1, 1)
     for w, expected in ((0, 1.0), (1, 3.0), (2, 5.0), (0.5, 2.0)):
         assert bool((guided(net, x, None, y, w) == expected).all())
+
+
+def test_guidance_acts_between_its_times_alone(model, monkeypatch):
+    """Where it does not, the strength is 1, and the network is asked once a step instead of twice."""
+    asked = []
+    net, options = model.net.forward, {"seed": 1, "sampler": "ddim", "steps": 5}  # t / T = 1, 0.8, …, 0.2
+    monkeypatch.setattr(model.net, "forward", lambda x, t, y: asked.append(y is not None) or net(x, t, y))
+    part = generate(model, TARGETS, guidance=3.0, guided_from=0.4, guided_to=0.8, **options)
+    assert len(asked) == 5 + 3 and sum(asked) == 5
+    whole, plain = (generate(model, TARGETS, guidance=w, **options) for w in (3.0, 1.0))
+    np.testing.assert_array_equal(generate(model, TARGETS, guidance=3.0, guided_to=0.1, **options), plain)
+    assert min(np.abs(part - other).max() for other in (whole, plain)) > 1e-3
 
 
 @pytest.fixture(scope="module")
@@ -297,6 +329,9 @@ def test_targets_outside_the_range_draw_a_warning_that_names_it(model):
         ({"eta": "1"}, "eta"),
         ({"guidance": np.nan}, "guidance"),
         ({"guidance": "2"}, "guidance"),
+        ({"guided_from": -0.1}, "guided_from"),
+        ({"guided_to": 900}, "guided_to"),
+        ({"crowding": 0}, "crowding"),
         ({"batch_size": 0}, "batch_size"),
         ({"batch_size": 1.5}, "batch_size"),
         ({"device": "nonsense"}, "device 'nonsense' cannot be used here"),
