@@ -2,22 +2,24 @@
 
 MNIST is looked for in the folder that ``INFLATE_MNIST_DIR`` names, and what is read there is kept in the cache; without
 such a folder it is looked for in the cache, and downloaded into it once from a public mirror. Every time the SHA-256 of
-the decompressed bytes must be the published one, or the file is not used. Where MNIST cannot be had, ``source="auto"``
-falls back to the 179 sevens that ship with scikit-learn, aloud.
+the decompressed bytes must be the published one, or the file is not used. Where no mirror can be reached,
+``source="auto"`` falls back to the 179 sevens that ship with scikit-learn, aloud; a folder that cannot be read or a
+cache that cannot be written is an error, never a reason for other data.
 """
 
 import gzip
 import hashlib
+import io
 import os
 import warnings
 import zlib
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from inflate_lib import paths
+from inflate_lib._cache import writing
 from inflate_lib._checks import choice, whole_number
 from inflate_lib._files import draft
 from inflate_lib.structures.labels import FRAME
@@ -39,7 +41,7 @@ _MIRRORS = (
     "https://ossci-datasets.s3.amazonaws.com/mnist/",
     "https://storage.googleapis.com/cvdf-datasets/mnist/",
 )
-TIMEOUT = (4, 10)  # seconds to connect, seconds without a byte
+_TIMEOUT = (4, 10)  # seconds to connect, seconds without a byte
 
 _network_failure = None  # remembered, so that one process waits for a dead network only once
 
@@ -92,9 +94,11 @@ def load_sevens(source: str = "auto", limit: int | None = None, split: str = "tr
     Raises
     ------
     FileNotFoundError
-        ``INFLATE_MNIST_DIR`` names a folder that lacks a file.
+        ``INFLATE_MNIST_DIR`` names no folder, or one that lacks a file.
     ValueError
         A file is corrupt, truncated or not MNIST's; or an argument is out of range.
+    CacheError
+        The cache, where the files are kept, cannot be written.
     ConnectionError
         ``source="mnist"``, no folder is named and no mirror delivers.
     """
@@ -124,6 +128,12 @@ def _locate(name):
     folder = Path(named).expanduser()
     if not folder.is_dir():  # a relative name is meant from the checkout, too: notebooks run in folders of their own
         folder = paths.ROOT / folder
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise FileNotFoundError(
+            f"INFLATE_MNIST_DIR is {named}, which {what}. Let it name the folder with MNIST's files, or unset it to "
+            "download them."
+        )
     for candidate in (Path(folder, name), Path(folder, name + ".gz")):
         if candidate.is_file():
             return candidate
@@ -146,52 +156,60 @@ def _read(name):
             f"{path} is not MNIST's {name}, or it is damaged: the SHA-256 of its {len(content)} decompressed bytes is "
             f"{found}, not {_SHA256[name]}. Replace it."
         )
-    _remember(name, content)
+    if not _is_kept(name):
+        with writing(), draft(_kept(name)) as place:
+            place.write_bytes(content)
     return content
 
 
-def _remember(name, content):
-    """Keep verified bytes in the cache; one that cannot be written is no reason to do without the data."""
-    path = paths.CACHE / "mnist" / name
-    with suppress(OSError):
-        if not path.is_file() or path.read_bytes() != content:
-            with draft(path) as place:
-                place.write_bytes(content)
+def _kept(name):
+    """Where the cache has a file."""
+    return paths.CACHE / "mnist" / name
+
+
+def _is_kept(name):
+    """Whether the cache has the very bytes."""
+    path = _kept(name)
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest() == _SHA256[name]
 
 
 def _download(name):
-    """Fetch one file through pooch, which verifies the decompressed bytes before and after they are in the cache."""
+    """Path of one file in the cache, fetched where it is not there. The cache is opened first, and may not fail."""
     global _network_failure
-    if _network_failure:
+    if _is_kept(name):
+        return _kept(name)
+    with writing(), draft(_kept(name)) as place:
+        if _network_failure:
+            raise ConnectionError(_network_failure)
+        failures = []
+        for mirror in _MIRRORS:
+            try:
+                content = _fetch(f"{mirror}{name}.gz", _SHA256[name])
+            # an unreachable mirror, or one that answers with something else
+            except (OSError, EOFError, zlib.error, ValueError) as error:
+                failures.append(f"{mirror}: {type(error).__name__}")
+            else:
+                place.write_bytes(content)
+                return _kept(name)
+        _network_failure = (
+            f"MNIST's {name} could not be downloaded ({'; '.join(failures)}). Set INFLATE_MNIST_DIR to a folder that "
+            "holds MNIST's files."
+        )
         raise ConnectionError(_network_failure)
-    pooch = _pooch()
+
+
+def _fetch(url, sha256):
+    """The decompressed bytes behind an address, in memory: whatever fails here is the network's."""
+    pooch, zipped = _pooch(), io.BytesIO()
     pooch.get_logger().setLevel("WARNING")
-    folder, failures = paths.CACHE / "mnist", []
-    for mirror in _MIRRORS:
-        try:
-            return Path(
-                pooch.retrieve(
-                    f"{mirror}{name}.gz", f"sha256:{_SHA256[name]}", name, folder, downloader=_download_and_unzip
-                )
-            )
-        # an unreachable mirror; one that answers with something else; and pooch's own word for a wrong checksum
-        except (OSError, EOFError, zlib.error, ValueError) as error:
-            failures.append(f"{mirror}: {type(error).__name__}")
-    _network_failure = (
-        f"MNIST's {name} could not be downloaded ({'; '.join(failures)}). Set INFLATE_MNIST_DIR to a folder that "
-        "holds MNIST's files, or use source='digits'."
-    )
-    raise ConnectionError(_network_failure)
-
-
-def _download_and_unzip(url, output_file, pooch_instance):
-    pooch = _pooch()
-    zipped = Path(f"{output_file}.gz")
-    try:
-        pooch.HTTPDownloader(timeout=TIMEOUT)(url, str(zipped), pooch_instance)
-        Path(output_file).write_bytes(gzip.decompress(zipped.read_bytes()))
-    finally:
-        zipped.unlink(missing_ok=True)
+    pooch.HTTPDownloader(timeout=_TIMEOUT)(url, zipped, None)
+    content = gzip.decompress(zipped.getvalue())
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ValueError(f"{url} has other bytes than it should")
+    return content
 
 
 def _pooch():

@@ -1,7 +1,10 @@
 """Images of sevens: MNIST files good and bad, no network, and the embedded digits."""
 
+import errno
 import gzip
 import hashlib
+import os
+import re
 import shutil
 from pathlib import Path
 
@@ -10,6 +13,7 @@ import pytest
 from sklearn.datasets import load_digits
 
 from inflate_lib import paths
+from inflate_lib._cache import CacheError
 from inflate_lib.structures import sources
 from inflate_lib.structures.sources import _FILES, load_sevens, resolve_source
 
@@ -92,10 +96,50 @@ def test_nothing_damaged_is_remembered(small_mnist, cache):
     assert not (cache / IMAGES).exists()
 
 
-def test_a_cache_that_cannot_be_written_is_no_obstacle(small_mnist, cache):
-    _, expected = small_mnist
+def a_file_in_its_place(cache, monkeypatch):
     cache.parent.write_text("a file where the folder should be")
-    assert np.array_equal(load_sevens().images, expected)
+
+
+def failing(number):
+    """A disk on which no file of the cache can be opened for writing: full, read-only, of somebody else."""
+
+    def damage(cache, monkeypatch):
+        def write_bytes(self, content):
+            raise OSError(number, os.strerror(number), None if number == errno.ENOSPC else str(self))
+
+        monkeypatch.setattr(Path, "write_bytes", write_bytes)
+
+    return damage
+
+
+@pytest.mark.parametrize("download", [False, True])
+@pytest.mark.parametrize(
+    "damage",
+    [a_file_in_its_place, *map(failing, (errno.ENOSPC, errno.EROFS, errno.EACCES))],
+    ids=["file in the way", "ENOSPC", "EROFS", "EACCES"],
+)
+def test_a_cache_that_cannot_be_written_is_never_a_reason_for_other_data(
+    small_mnist, cache, damage, download, monkeypatch
+):
+    folder, _ = small_mnist
+    if download:
+        monkeypatch.delenv("INFLATE_MNIST_DIR")
+        monkeypatch.setattr(sources, "_network_failure", None)
+        serve(monkeypatch, lambda url: (folder / Path(url).name).read_bytes())
+    damage(cache, monkeypatch)
+    with pytest.raises((CacheError, OSError), match=re.escape(str(cache.parent))) as raised:
+        load_sevens("auto")
+    assert not isinstance(raised.value, ConnectionError)
+
+
+def test_a_cache_in_the_way_is_named_where_there_is_no_network_either(no_folder, cache, monkeypatch):
+    def fail(url):
+        raise ConnectionError("no network")
+
+    serve(monkeypatch, fail)
+    cache.parent.write_text("a file where the folder should be")
+    with pytest.raises(CacheError, match="INFLATE_CACHE"):
+        load_sevens("auto")
 
 
 def truncate(path):
@@ -154,10 +198,15 @@ def test_relative_folder_is_found_from_the_checkout_as_well(small_mnist, monkeyp
     assert np.array_equal(load_sevens("mnist").images, expected)
 
 
-def test_missing_folder_is_named(monkeypatch):
+@pytest.mark.parametrize("source", ["auto", "mnist"])
+def test_missing_folder_is_named(source, tmp_path, monkeypatch):
     monkeypatch.setenv("INFLATE_MNIST_DIR", "/nowhere/mnist")
-    with pytest.raises(FileNotFoundError, match="/nowhere/mnist"):
-        load_sevens("mnist")
+    with pytest.raises(FileNotFoundError, match="/nowhere/mnist, which does not exist"):
+        load_sevens(source)
+    (tmp_path / "mnist.zip").write_text("")
+    monkeypatch.setenv("INFLATE_MNIST_DIR", str(tmp_path / "mnist.zip"))
+    with pytest.raises(FileNotFoundError, match=r"mnist.zip, which is a file"):
+        load_sevens(source)
 
 
 def serve(monkeypatch, answer):
@@ -170,7 +219,7 @@ def serve(monkeypatch, answer):
 
         def __call__(self, url, output_file, pooch_instance):
             asked.append(url)
-            Path(output_file).write_bytes(answer(url))
+            output_file.write(answer(url))
 
     monkeypatch.setattr("pooch.HTTPDownloader", Downloader)
     return asked
