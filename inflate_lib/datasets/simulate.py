@@ -24,6 +24,7 @@ from inflate_lib.datasets import _workers
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import Shape, added_version, basic
 from inflate_lib.mechanics import contact, inflation
+from inflate_lib.mechanics.buildable import Flaw, find_flaw
 from inflate_lib.structures import labels, sources
 from inflate_lib.structures.labels import FRAME
 
@@ -42,6 +43,8 @@ _UNITS = {
     "label": ("label image: 0 outside, 0.5 wall, 1 void", "1"),
     "converged": ("every load step reached equilibrium", "1"),
     "reason": ("why not converged; empty where converged", ""),
+    "buildable": ("one wall without a joint of one node, and no walls that cross at any load step", "1"),
+    "flaw": ("why not buildable, by the names of inflate_lib.mechanics.Flaw; empty where buildable", ""),
     "factorisations": ("factorisations of the tangent", "1"),
     "self_contact": ("pairs of boundary edges that cross at the last load step: walls overlap where positive", "1"),
     "contact_step": ("first load step, from 1, at which boundary edges cross; 0 where they never do", "1"),
@@ -85,7 +88,8 @@ def simulate_dataset(
     -------
     xarray.Dataset
         One row per image, in order, along ``structure``: image, label, converged, reason (empty where converged),
-        height, width, hull_area, medial_axis (structure, point, axis), peak_stress, peak_stretch (see
+        buildable, flaw (empty where buildable, else the name of a :class:`inflate_lib.mechanics.Flaw` in small
+        letters), height, width, hull_area, medial_axis (structure, point, axis), peak_stress, peak_stretch (see
         :func:`inflate_lib.mechanics.stress.peaks`), factorisations, self_contact, contact_step (see
         :mod:`inflate_lib.mechanics.contact`). Descriptors are in lengths and areas of the unit square, NaN where not
         converged.
@@ -233,6 +237,8 @@ def _simulate(images, reasons, n_steps, time_limit, measured):
         "label": np.zeros((n, FRAME, FRAME), dtype=np.float32),
         "converged": np.zeros(n, dtype=bool),
         "reason": list(reasons),
+        "buildable": np.zeros(n, dtype=bool),
+        "flaw": [Flaw.NO_STRUCTURE.name.lower()] * n,
         **{one.variable: np.full((n, *one.sizes.values()), np.nan) for one in measured},
         "factorisations": np.zeros(n, dtype=np.int32),
         "self_contact": np.zeros(n, dtype=np.int32),
@@ -245,6 +251,8 @@ def _simulate(images, reasons, n_steps, time_limit, measured):
             rows["label"][i] = label = labels.label_image(image)
             result = inflation.inflate(label, n_steps=n_steps, time_limit=time_limit)
             rows["factorisations"][i], rows["reason"][i] = result.factorisations, result.reason
+            flaw = find_flaw(result)
+            rows["flaw"][i] = flaw.name.lower() if flaw else ""
             if not result.converged:
                 continue
             shape = Shape.of(result)
@@ -252,12 +260,12 @@ def _simulate(images, reasons, n_steps, time_limit, measured):
         except ValueError as error:
             rows["reason"][i] = str(error)
             continue
-        rows["converged"][i] = True
+        rows["converged"][i], rows["buildable"][i] = True, not flaw
         for name, value in values.items():
             rows[name][i] = value
-        if (first := contact.first_contact(result)) is not None:
+        if flaw and (first := contact.first_contact(result)) is not None:
             rows["contact_step"][i], rows["self_contact"][i] = first + 1, contact.self_contact(result)
-    rows["reason"] = np.array(rows["reason"])
+    rows["reason"], rows["flaw"] = np.array(rows["reason"]), np.array(rows["flaw"])
     return rows
 
 
@@ -284,7 +292,8 @@ def _assemble(parts, n_steps):
         name: (dims.get(name, ("structure",)), np.concatenate([part[name] for part in parts])) for name in parts[0]
     }
     data = xr.Dataset(variables, coords={"axis": ["x", "y"]})
-    data["reason"] = data["reason"].astype(object)
+    for name in ("reason", "flaw"):
+        data[name] = data[name].astype(object)
     for name, (text, units) in ({one.variable: (one.meaning, "1") for one in basic()} | _UNITS).items():
         data[name].attrs |= {"long_name": text} | ({"units": units} if units else {})
     data.attrs = {

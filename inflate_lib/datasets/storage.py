@@ -29,7 +29,8 @@ def load_dataset(path: str | Path) -> "xr.Dataset":
         data = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as a netCDF data set: {error}") from None
-    needed = {"image", "converged", "reason"}.union(get_descriptor(part).variable for part in PARTS)
+    needed = {"image", "converged", "reason", "buildable", "flaw"}
+    needed |= {get_descriptor(part).variable for part in PARTS}
     if missing := needed - set(data.variables):
         raise ValueError(f"{path} is no data set of inflated structures; it lacks {', '.join(sorted(missing))}")
     return data

@@ -325,8 +325,8 @@ _add(Descriptor("joint", "joint", parts=("height", "width", "area", "stress", "s
 _OWN = frozenset(_registry)
 #: Variables of data sets that no further descriptor may have.
 _TAKEN = frozenset(one.variable for one in basic()) | {
-    "image", "label", "converged", "reason", "factorisations", "self_contact", "contact_step", "level", "target",
-    "valid", "axis",
+    "image", "label", "converged", "reason", "buildable", "flaw", "factorisations", "self_contact",
+    "contact_step", "level", "target", "valid", "axis",
 }  # fmt: skip
 #: The paper's five descriptors, each with a model of its own.
 DESCRIPTORS = ("height", "width", "box", "area", "axis")

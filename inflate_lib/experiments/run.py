@@ -1,7 +1,8 @@
 """Ask a model for targets and see what comes (paper sec. 2.3): targets → images → label, inflate, describe.
 
 An *experiment* is a simulated data set that also knows what each structure was meant for: ``target``, ``level`` (the
-number of the target) and ``valid``. Structures from elsewhere, such as real ones, can be judged in the same form.
+number of the target) and ``valid``; only what is valid is ``buildable``. Structures from elsewhere, such as real ones,
+can be judged in the same form.
 """
 
 import warnings
@@ -121,7 +122,8 @@ def judge(
     xarray.Dataset
         As :func:`inflate_lib.simulate_dataset` gives it, with the variables ``level``, ``target`` (structure,
         component) and ``valid`` besides: the drawing is one structure, not a broken one of which the largest piece was
-        taken, and it converged. Images that give no structure keep their row.
+        taken, and it converged; of those that are not, none counts as ``buildable``. Images that give no structure
+        keep their row.
     """
     data = simulate.simulate_dataset(images, n_jobs=n_jobs, folder=folder)
     whole = np.array([_is_whole(image) for image in images])
@@ -136,6 +138,7 @@ def as_experiment(data, descriptor, targets, level=None, valid=None):
         level=("structure", level, {"long_name": "number of the target"}),
         target=(("structure", "component"), targets[level], {"long_name": f"target {descriptor}", "units": "1"}),
         valid=("structure", valid, {"long_name": "one structure that converges"}),
+        buildable=data["buildable"] & valid,
     ).assign_attrs(descriptor=descriptor)
 
 

@@ -1,7 +1,7 @@
-"""How good are the structures of an experiment? Errors, validity, and how sure these numbers are.
+"""How good are the structures of an experiment? Errors, validity, what can be built, and how sure these numbers are.
 
-Errors are those of valid structures; how many are not valid is counted beside them, with the reasons. Intervals are
-those of :func:`inflate_lib.experiments.metrics.bootstrap`.
+Errors are those of valid structures; how many are not valid, and how many of those that are cannot be built, is counted
+beside them, with the reasons. Intervals are those of :func:`inflate_lib.experiments.metrics.bootstrap`.
 """
 
 from collections.abc import Iterable
@@ -13,6 +13,7 @@ import pandas as pd
 
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import bootstrap, errors, r_squared
+from inflate_lib.mechanics.buildable import Flaw
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,7 +43,7 @@ def scores(
     seed: int = 0,
     n_resamples: int = 1000,
 ) -> pd.DataFrame:
-    """Everything about the accuracy and validity of an experiment, with intervals.
+    """Everything about the accuracy of an experiment, and how much of it is valid and buildable, with intervals.
 
     Parameters
     ----------
@@ -51,7 +52,8 @@ def scores(
     descriptor : str
     data : xarray.Dataset
         The simulated data set; errors are also given in its standard deviations (of the box: of each component; of
-        axes: in mean distances from the mean axis).
+        axes: in mean distances from the mean axis), and its share of buildable structures stands beside that of the
+        experiment.
     by_target : bool
         Resample the structures of each target by themselves, for few targets with many structures; by default
         structures are resampled together with their targets.
@@ -72,22 +74,24 @@ def scores(
     for name, (column_unit, _) in columns.items():
         measures += [(f"mean {name}", column_unit), (f"median {name}", column_unit)]
     measures += [(f"within {one.error.limit(limit)}", "%") for limit in one.error.limits]
-    measures += [("valid", "%"), ("self-contact", "%")]
+    measures += [("valid", "%"), ("buildable", "%")]
     values = np.column_stack([column for _, column in columns.values()])
-    crossing = experiment["self_contact"].values > 0
+    buildable = experiment["buildable"].values
 
     def statistics(rows):
         good = valid[rows]
         known = values[rows[good]]
         averages = np.column_stack([_mean(known), _median(known)]).ravel()
         shares = [_share(within[rows[good]] <= limit) for limit in one.error.limits]
-        shares += [_share(good), _share(crossing[rows[good]])]
+        shares += [_share(good), _share(buildable[rows])]
         return np.array([r_squared(target[rows], achieved[rows]), *averages, *(100 * share for share in shares)])
 
     everything = np.arange(len(target))
     low, high = bootstrap(statistics, len(target), experiment["level"].values if by_target else None, seed, n_resamples)
     table = pd.DataFrame(measures, columns=["measure", "unit"])
-    return table.assign(value=statistics(everything), low=low, high=high)
+    table = table.assign(value=statistics(everything), low=low, high=high)
+    table.loc[len(table)] = ["buildable, data set", "%", 100 * float(data["buildable"].mean()), np.nan, np.nan]
+    return table
 
 
 def side_by_side(tables, digits=3):
@@ -133,12 +137,13 @@ def accuracy(experiment: "xr.Dataset", descriptor: str) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        A row per target and one for all: the target, the share of valid structures (one closed structure that
-        converges), mean and standard deviation of what was achieved, mean and median error (percent; for axes:
-        pixels), share within 5 percent (axes: within one pixel), and in the last row R², the coefficient of
-        determination of achieved against target.
+        A row per target and one for all: the target, the shares of valid structures (one closed structure that
+        converges) and of buildable ones (:mod:`inflate_lib.mechanics.buildable`), mean and standard deviation of what
+        was achieved, mean and median error (percent; for axes: pixels), share within 5 percent (axes: within one
+        pixel), and in the last row R², the coefficient of determination of achieved against target.
     """
-    valid, target = experiment["valid"].values, experiment["target"].values
+    valid, buildable = experiment["valid"].values, experiment["buildable"].values
+    target = experiment["target"].values
     level, achieved = experiment["level"].values, descriptor_matrix(experiment, descriptor)
     one, error = get_descriptor(descriptor), errors(experiment, descriptor)
     unit, factor, near = one.error.unit, one.error.factor, one.error.near
@@ -148,6 +153,7 @@ def accuracy(experiment: "xr.Dataset", descriptor: str) -> pd.DataFrame:
         return {
             "target": name,
             "valid": valid[here].mean(),
+            "buildable": buildable[here].mean(),
             f"mean error ({unit})": factor * _mean(error_here),
             f"median error ({unit})": factor * _median(error_here),
             f"within {one.error.limit(near).replace(' %', '%')}": _share(error_here <= near),
@@ -176,6 +182,24 @@ def failure_reasons(experiments: "Iterable[xr.Dataset]") -> pd.Series:
     """
     reasons = [reason for one in experiments for reason in one["reason"].values[~one["valid"].values]]
     return pd.Series([_failure(str(reason)) for reason in reasons], dtype=object).value_counts()
+
+
+def flaws(experiments: "Iterable[xr.Dataset]") -> pd.Series:
+    """Why valid structures cannot be built, counted over several experiments.
+
+    Of a data set that is no experiment, all structures that converge count as valid.
+
+    Returns
+    -------
+    pandas.Series
+        :class:`inflate_lib.mechanics.Flaw` → number, the most frequent first; empty where all can be built.
+    """
+    found = [
+        flaw
+        for one in experiments
+        for flaw in one["flaw"].values[one.get("valid", one["converged"]).values & ~one["buildable"].values]
+    ]
+    return pd.Series([Flaw[flaw.upper()] for flaw in found], dtype=object).value_counts()
 
 
 def _failure(reason):

@@ -47,7 +47,8 @@ def data():
             "width": ("structure", 2 - number / 60),
             "hull_area": ("structure", 0.5 + number / 100),
             "medial_axis": (("structure", "point", "axis"), axes),
-            "self_contact": ("structure", np.zeros(60, int)),
+            "buildable": ("structure", np.ones(60, bool)),
+            "flaw": ("structure", np.full(60, "", object)),
         },
         attrs={"source": "digits"},
     )

@@ -18,6 +18,7 @@ from killed_runs import run_and_kill
 from inflate_lib import describe, inflate, label_image, paths, self_contact, simulate_dataset, simulated_sevens
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.storage import load_dataset, save_dataset
+from inflate_lib.mechanics import Flaw
 from inflate_lib.structures.sources import load_sevens, resolve_source
 
 DIGITS = load_sevens("digits").images
@@ -119,6 +120,18 @@ def test_self_contact_is_recorded():
     assert data.contact_step.values.tolist() == [1 + next(i for i, found in enumerate(steps) if found), 0, 0]
     assert steps[-1] > 0
     assert data.self_contact.dtype.kind == data.contact_step.dtype.kind == "i"
+
+
+def test_what_can_be_built_is_recorded_with_the_reason_why_not():
+    arch, chain = np.zeros((2, 28, 28))
+    arch[4:24, 6:9] = arch[4:24, 14:17] = arch[4:7, 6:17] = 1
+    chain[6:16, 12:15] = chain[16:26, 15:18] = 1
+    data = simulate_dataset([arch, chain, DIGITS[0] / 255, np.zeros((28, 28))], n_jobs=1)
+    burst = simulate_dataset([arch], n_jobs=1, time_limit=1e-9)
+    assert data.flaw.values.tolist() == ["crossing_walls", "point_joint", "", "no_structure"]
+    assert burst.flaw.item() == "no_equilibrium"
+    assert all(part.buildable.equals(part.flaw == "") for part in (data, burst))
+    assert {flaw.upper() for flaw in (*data.flaw.values, *burst.flaw.values) if flaw} <= set(Flaw.__members__)
 
 
 @pytest.mark.parametrize("n_jobs", [1, 2])
@@ -285,7 +298,7 @@ def test_file_comes_back_as_it_went(tmp_path):
     assert {"inflate_lib", "numpy", "scipy", "numba", "xarray", "python"} <= set(back.attrs)
     for name in back.data_vars:
         assert back[name].attrs["long_name"]
-        assert name == "reason" or back[name].attrs["units"] == "1"
+        assert name in ("reason", "flaw") or back[name].attrs["units"] == "1"
 
 
 def test_foreign_and_damaged_files_are_named(tmp_path):
@@ -377,6 +390,8 @@ def test_every_mnist_seven_converges():
     assert 0.3 < data.height.min() and data.height.max() < 2
     assert abs(int((data.self_contact > 0).sum()) - 1023) <= 2  # a crossing may hang by a rounding error
     assert ((data.self_contact > 0) <= (data.contact_step > 0)).all()
+    flaws = {"": 4571, "point_joint": 777, "crossing_walls": 917}
+    assert all(abs(int((data.flaw == flaw).sum()) - number) <= 2 for flaw, number in flaws.items())
     rows = np.random.default_rng(0).choice(6265, 20, replace=False)
     fresh = simulate_dataset(load_sevens("mnist").images[rows])
     for name in NUMBERS:

@@ -15,16 +15,19 @@ from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.descriptors import mirror_axis
 from inflate_lib.descriptors.errors import _hausdorff, _point_distances
 from inflate_lib.experiments.metrics import bootstrap, errors, misses, r_squared
+from inflate_lib.experiments.run import judge
 from inflate_lib.experiments.tables import (
     _Failure,
     accuracy,
     failure_reasons,
+    flaws,
     score,
     scores,
     side_by_side,
     with_interval,
 )
 from inflate_lib.experiments.variety import _mean_pairwise, diversity, nearest, novelty, pairwise
+from inflate_lib.mechanics import Flaw
 from inflate_lib.structures.augmentation import apply_variants, augment
 from inflate_lib.structures.labels import PIXEL
 from inflate_lib.structures.sources import load_sevens
@@ -33,20 +36,22 @@ RNG = np.random.default_rng(7)
 IMAGES = load_sevens("digits").images
 
 
-def experiment(target, achieved, valid=None, level=None, descriptor="height", images=None, contact=None, reason=None):
+def experiment(target, achieved, valid=None, level=None, descriptor="height", images=None, flaw=None, reason=None):
     """An experiment without any simulation behind it."""
     n = len(target)
     target, achieved = np.reshape(target, (n, -1)), np.reshape(achieved, (n, -1))
-    column = np.zeros(n)
+    column, valid = np.zeros(n), np.ones(n, bool) if valid is None else np.asarray(valid)
+    flaw = np.where(valid, "", "no_structure") if flaw is None else np.asarray(flaw)
     variables = {
         "image": (("structure", "row", "column"), IMAGES[:n] if images is None else images),
         "height": ("structure", column),
         "width": ("structure", column),
         "hull_area": ("structure", column),
         "medial_axis": (("structure", "point", "axis"), np.zeros((n, 30, 2))),
-        "self_contact": ("structure", np.zeros(n, int) if contact is None else contact),
+        "buildable": ("structure", valid & (flaw == "")),
+        "flaw": ("structure", flaw.astype(object)),
         "reason": ("structure", np.array([""] * n if reason is None else reason, dtype=object)),
-        "valid": ("structure", np.ones(n, bool) if valid is None else np.asarray(valid)),
+        "valid": ("structure", valid),
         "converged": ("structure", np.ones(n, bool)),
         "level": ("structure", np.arange(n) if level is None else np.asarray(level)),
         "target": (("structure", "component"), target),
@@ -155,17 +160,22 @@ def test_scores_of_an_experiment_whose_errors_are_known():
     target = np.linspace(1, 2, 101)
     achieved = target * np.where(np.arange(101) % 2, 1.04, 0.99)
     valid = np.arange(101) != 100
-    data = experiment(target, target)
-    table = scores(experiment(target, achieved, valid, contact=np.arange(101) % 4), "height", data, n_resamples=200)
+    flaw = np.array(["", "point_joint", "crossing_walls", ""])
+    data = experiment(target, target, flaw=flaw[np.arange(101) % 3])
+    table = scores(experiment(target, achieved, valid, flaw=flaw[np.arange(101) % 4]), "height", data, n_resamples=200)
     assert score(table, "median error / target") == pytest.approx(2.5)
     assert score(table, "mean error / target") == pytest.approx(2.5)
     assert score(table, "within 2 %") == score(table, "within 5 %") - 50 == pytest.approx(50)
-    assert score(table, "valid") == pytest.approx(100 * 100 / 101) and score(table, "self-contact") == 75
+    assert score(table, "valid") == pytest.approx(100 * 100 / 101) and score(table, "buildable") == pytest.approx(
+        100 * 50 / 101
+    )
+    assert score(table, "buildable, data set") == pytest.approx(100 * 34 / 101)
     assert score(table, "R²") == pytest.approx(r2_score(target[valid], achieved[valid]))
     absolute = np.abs(achieved - target)[valid]
     assert score(table, "mean error") == pytest.approx(absolute.mean())
     assert score(table, "mean error / standard deviation") == pytest.approx(absolute.mean() / target.std())
-    assert (table["low"] <= table["value"]).all() and (table["value"] <= table["high"]).all()
+    measured = table[table["measure"] != "buildable, data set"]
+    assert (measured["low"] <= measured["value"]).all() and (measured["value"] <= measured["high"]).all()
 
 
 def test_scores_of_axes():
@@ -185,10 +195,10 @@ def test_scores_of_axes():
 def test_an_experiment_without_a_valid_structure_has_no_errors_and_no_valid_share():
     nothing = experiment([1.0, 2.0, 3.0], [np.nan] * 3, [False] * 3, level=[0, 0, 1])
     table = scores(nothing, "height", experiment([1.0, 2.0], [1.0, 2.0]), by_target=True, n_resamples=50)
-    assert score(table, "valid") == 0
-    assert table.set_index("measure").drop("valid")["value"].isna().all()
-    assert side_by_side({"height": table})["height"].tolist().count("–") == len(table) - 1
-    assert accuracy(nothing, "height")["valid"].tolist() == [0, 0, 0]
+    assert score(table, "valid") == score(table, "buildable") == 0
+    assert table.set_index("measure").drop(["valid", "buildable", "buildable, data set"])["value"].isna().all()
+    assert side_by_side({"height": table})["height"].tolist().count("–") == len(table) - 3
+    assert accuracy(nothing, "height")[["valid", "buildable"]].eq(0).all(axis=None)
 
 
 def test_numbers_with_intervals():
@@ -211,6 +221,27 @@ def test_reasons_are_counted_by_their_kind():
     found = failure_reasons([experiment([1.0] * n, [1.0] * n, valid, reason=reason)])
     assert found.to_dict() == dict.fromkeys(_Failure, 1)
     assert failure_reasons([]).empty
+
+
+def test_flaws_of_valid_structures_are_counted_and_those_of_others_are_not():
+    flaw = ["", "point_joint", "crossing_walls", "point_joint", "no_structure", "crossing_walls"]
+    one = experiment([1.0] * 6, [1.0] * 6, [True] * 4 + [False] * 2, flaw=flaw)
+    assert flaws([one, one]).to_dict() == {Flaw.POINT_JOINT: 4, Flaw.CROSSING_WALLS: 2}
+    assert flaws([one.drop_vars("valid")]).to_dict() == {
+        Flaw.POINT_JOINT: 2,
+        Flaw.CROSSING_WALLS: 2,
+        Flaw.NO_STRUCTURE: 1,
+    }
+    assert flaws([]).empty
+
+
+def test_what_was_not_drawn_in_one_piece_is_not_buildable():
+    """Its largest piece is, and counts as a structure of a data set."""
+    broken = np.zeros((28, 28))
+    broken[4:20, 4:8] = broken[4:20, 20:22] = 1
+    judged = judge([broken, IMAGES[0]], "height", np.ones((2, 1)), n_jobs=1)
+    assert judged["converged"].all() and not judged["flaw"].values[0]
+    assert judged["valid"].values.tolist() == judged["buildable"].values.tolist() == [False, True]
 
 
 # --- originality ---------------------------------------------------------------------------------------------------
