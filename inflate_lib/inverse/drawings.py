@@ -1,20 +1,17 @@
 """The inflated shape, drawn: the outline in an SVG file or a picture."""
 
-import io
+import reprlib
 from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
 from inflate_lib._checks import positive_number
+from inflate_lib.inverse import _svg
 
 _MAX_SIZE = 2000  # pixels of a drawing, per side
-
-
-PIECES = 32  # straight pieces that stand for one curved segment of an SVG path
-
-
-_OPEN = 0.01  # gap, relative to the size of a drawing, up to which it counts as closed
+_SVG = (".svg", ".svgz")
+OPEN = 0.01  # gap, relative to the size of a drawing, up to which it counts as closed
 
 
 def read_outline(path: str | Path, unit: float) -> np.ndarray:
@@ -38,39 +35,38 @@ def read_outline(path: str | Path, unit: float) -> np.ndarray:
     positive_number("the unit of the outline", unit)
     if not path.is_file():
         raise ValueError(f"{path} does not exist")
-    points = _svg_points(path) if path.suffix.lower() == ".svg" else _picture_points(path)
+    points = _svg_points(path) if path.suffix.lower() in _SVG else _picture_points(path)
     return points * [1, -1] / unit
 
 
-def _svg_points(path):
-    """Corners of the one closed curve in an SVG file, in user units, y downwards."""
-    from xml.etree import ElementTree
+def how_measured(path: str | Path, points: np.ndarray, unit: float) -> str:
+    """A sentence that says what the unit of a drawing was taken to be; the arguments and result of `read_outline`."""
+    path, (width, height) = Path(path), np.ptp(points, axis=0) * unit
+    drawn = "user units" if path.suffix.lower() in _SVG else "pixels"
+    text = (
+        f"The outline in {path} is {width:.5g} {drawn} wide and {height:.5g} high, and {unit:.5g} of them were taken "
+        "as a side of the frame (--outline-unit, which is --size-mm where it is not given)"
+    )
+    if drawn == "user units" and not np.isnan(per_mm := _svg.units_per_millimetre(path)):
+        text += f"; by the size that the file gives itself a millimetre is {per_mm:.5g} of them"
+    return f"{text}."
 
+
+def _svg_points(path):
+    """Corners of the one closed curve that an SVG file paints, in user units, y downwards."""
     try:
-        import svgelements
-    except ImportError:
-        raise RuntimeError(f"{path}: an outline as SVG needs svgelements: pip install 'inflate-lib[design]'") from None
-    try:
-        root = ElementTree.parse(path).getroot()
-        for name in ("width", "height", "viewBox"):  # they would turn user units into pixels of a screen
-            root.attrib.pop(name, None)
-        drawing = svgelements.SVG.parse(io.BytesIO(ElementTree.tostring(root)))
-        shapes = [shape for shape in drawing.elements() if isinstance(shape, svgelements.Shape)]
-        drawn = [svgelements.Path(*shape.segments(transformed=True)) for shape in shapes]
-        curves = [list(curve) for shape in drawn for curve in shape.as_subpaths() if len(curve) > 1]
-        curves = [[segment for segment in curve if not isinstance(segment, svgelements.Move)] for curve in curves]
-    except (ElementTree.ParseError, ValueError, TypeError, AttributeError, KeyError, IndexError, OSError) as error:
-        raise ValueError(f"{path} cannot be read as an SVG file: {error}") from None
+        curves = _svg.painted_curves(path)
+    except ImportError as error:
+        raise RuntimeError(f"{path}: an outline as SVG needs {error.name}: pip install 'inflate-lib[design]'") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     if not curves:
-        raise ValueError(f"{path}: the outline is empty; there is no path, polygon, circle, … in it")
+        raise ValueError(f"{path}: the outline is empty; there is no path, polygon, circle, … in it that is painted")
     if len(curves) > 1:
-        raise ValueError(f"{path}: {len(curves)} separate curves; one outline is needed")
-    points = [curves[0][0].start]
-    for segment in curves[0]:
-        straight = isinstance(segment, svgelements.Line | svgelements.Close)
-        points += [segment.end] if straight else [segment.point(t) for t in np.arange(1, PIECES + 1) / PIECES]
-    points = np.array([(point.x, point.y) for point in points], dtype=float)
-    if np.linalg.norm(points[-1] - points[0]) > _OPEN * np.ptp(points, axis=0).max():
+        names = reprlib.repr([name for name, _ in curves]).replace("'", "")
+        raise ValueError(f"{path}: {len(curves)} separate curves are painted, {names}; one outline is needed")
+    ((_, points),) = curves
+    if np.linalg.norm(points[-1] - points[0]) > OPEN * np.ptp(points, axis=0).max():
         raise ValueError(f"{path}: the outline is open; close it, so that it has an inside")
     return points[:-1]
 

@@ -208,7 +208,10 @@ def design(
     _check_symmetric(targets, constraints, tolerance)
     model = model or _find_model(targets, profile)
     _check_model(model, targets)
-    check_reach(targets.vectors, model.reach if data is None else data)
+    try:
+        check_reach(targets.vectors, model.reach if data is None else data)
+    except ValueError as error:
+        raise ValueError(f"{error} {targets.measured}".strip()) from None
     about, sampling = _about(model), dict(model.sampling)
     found = Designs([], [], targets, constraints, tolerance, n, prefer, seed, about, sampling)
     wanted, best, seen, clock = targets.vector(model.name), [], set(), Counter()

@@ -14,11 +14,12 @@ import numpy as np
 
 from inflate_lib._checks import positive_number
 from inflate_lib.descriptors import AXIS_POINTS, PHYSICAL, axis_height, basic, describe, get_descriptor
-from inflate_lib.inverse.drawings import read_outline
+from inflate_lib.inverse.drawings import OPEN, how_measured, read_outline
 from inflate_lib.mechanics import contact
 from inflate_lib.models.reach import AGREE, SIZES
 
 _NUMBERS = (*SIZES, *PHYSICAL)
+_SAME = 1e-6  # distance of two corners, relative to the size of a drawing, up to which they are one
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class Targets:
         The drawing that the others were measured on, to be shown; its lowest point is at y = 0.
     others : Mapping
         Descriptors that were registered besides, name → number, or (N,) numbers.
+    measured : str
+        How a drawing was measured, for whoever finds it out of reach.
     """
 
     height: float | None = None
@@ -48,6 +51,7 @@ class Targets:
     stress: float | None = None
     stretch: float | None = None
     others: Mapping = field(default_factory=dict)
+    measured: str = ""
 
     def __post_init__(self):
         object.__setattr__(self, "others", {name: _vector(name, value) for name, value in self.others.items()})
@@ -136,9 +140,13 @@ def _outline_targets(points):
         Where it is empty, spans no area, or crosses itself.
     """
     points = _points("outline", points)
-    points = points[np.any(points != np.roll(points, 1, axis=0), axis=1)]
+    size = np.ptp(points, axis=0).max() if len(points) else 0.0
+    points = points[np.linalg.norm(points - np.roll(points, 1, axis=0), axis=1) > _SAME * size]
     if len(points) < 3:
         raise ValueError(f"outline: it is empty; {len(points)} distinct points enclose nothing")
+    if _crosses_itself(points):  # perhaps only where its end misses its beginning
+        near = np.linalg.norm(points - points[0], axis=1) <= OPEN * size
+        points = points[: len(points) - int(np.argmin(near[::-1]))]
     if _crosses_itself(points):
         raise ValueError("outline: it crosses itself; draw the border of the inflated shape as one simple closed curve")
     try:
@@ -171,7 +179,8 @@ def read_targets(
     given["axis"] = None if axis is None else _read_axis(axis)
     given["outline"] = None if outline is None else read_outline(outline, unit)
     try:
-        return as_targets(given)
+        targets = as_targets(given)
+        return targets if outline is None else replace(targets, measured=how_measured(outline, given["outline"], unit))
     except ValueError as error:
         where = f"{outline}: " if outline is not None and str(error).startswith("outline") else ""
         raise ValueError(f"{where}{error}") from None
