@@ -29,7 +29,9 @@ def simulate(
     wall: Annotated[int, typer.Option(min=1, max=12, help="Thickness of the wall in pixels.")] = 2,
     clamp: Annotated[str, typer.Option(help="Clamped edge: bottom, left, top or right.")] = "bottom",
     refine: Annotated[int, typer.Option(min=1, max=16, help="Elements per pixel and direction.")] = 1,
-    element: Annotated[str, typer.Option(help="mean-dilatation or q1.")] = "mean-dilatation",
+    element: Annotated[
+        str, typer.Option(help="mean-dilatation, q1 (plain), or stabilised (MOOSE's).")
+    ] = "mean-dilatation",
     resize: Annotated[bool, typer.Option("--resize", help="Fit pictures of another size into 28 × 28.")] = False,
     invert: Annotated[bool, typer.Option("--invert", help="For black on white.")] = False,
 ) -> None:

@@ -3,8 +3,9 @@
 The input is the paper's model in MOOSE's total Lagrangian system: ``ComputeNeoHookeanStress`` on
 ``ComputeLagrangianStrain``, ``Pressure`` on the displaced mesh, plane strain, load steps in time from 0 to 1. MOOSE
 stops at our times whatever it does in between: ``TimeSequenceStepper`` halves a load step that fails, where a constant
-``dt`` would lose step with us. ``stabilize_strain`` is MOOSE's F-bar, the unsymmetric relative of our mean dilatation
-(which scales F₃₃ as well); it is off for plain Q1. So expect the same shapes, not the same digits.
+``dt`` would lose step with us. ``stabilize_strain`` is on for ``"stabilised"``, our copy of
+it (:mod:`inflate_lib.mechanics.stabilised`), and for mean dilatation, its relative, whose digits differ a little; it is
+off for plain Q1.
 
 The files are checked by reading them back; they have not been run with MOOSE in this project.
 """
@@ -150,7 +151,7 @@ def _input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE
     lam, mu = (float(value) for value in lame)
     times, pressures = load_history(pressure, n_steps)
     return _INPUT.format(
-        name=name, stabilize="true" if element == "mean-dilatation" else "false", lam=lam, mu=mu,
+        name=name, stabilize="false" if element == "q1" else "true", lam=lam, mu=mu,
         times=_words(times), pressures=_words(pressures), dtmin=float(times[0]) / 2**MAX_HALVINGS,
         cavity=_exodus.CAVITY, clamped=_exodus.CLAMPED,
     )  # fmt: skip

@@ -66,9 +66,10 @@ def _cell_fields(result):
     m = len(result.cells)
     sigma = stress.cauchy_stress(result)
     F, P = np.zeros((2, *sigma.shape))
-    F[..., :2, :2], F[..., 2, 2] = result.deformation_gradient, 1.0
+    across = result.stretch_across
+    F[..., :2, :2], F[..., 2, 2] = across[..., None, None] * result.deformation_gradient, across
     P[..., :2, :2] = result.first_piola_kirchhoff
-    P[..., 2, 2] = sigma[..., 2, 2] * stress.area_ratio(result)  # P = J σ F⁻ᵀ, and F₃₃ = 1
+    P[..., 2, 2] = sigma[..., 2, 2] * across**2 * stress.area_ratio(result)  # P = J σ F⁻ᵀ
 
     def rows(tensor, start):
         return np.concatenate([np.broadcast_to(start.ravel(), (1, m, 9)), tensor.mean(axis=2).reshape(-1, m, 9)])

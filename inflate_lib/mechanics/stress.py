@@ -6,7 +6,10 @@ leaves a stress across the plane. With φ′J = (P − μ F) : F / 2, the Cauchy
     σ = P Fᵀ / J in the plane,   σ₃₃ = μ / J + φ′   (for one point: λ ln J / J),
 
 and the von Mises stress is that of all of it: √(½ [(σ₁₁ − σ₂₂)² + (σ₂₂ − σ₃₃)² + (σ₃₃ − σ₁₁)²] + 3 σ₁₂²). As
-σ = μ b / J + φ′ I with b = F Fᵀ and b₃₃ = 1, and pressure has no part in it, it is that of μ b / J.
+σ = μ b / J + φ′ I with b = F Fᵀ and b₃₃ = 1, and pressure has no part in it, it is that of μ b / J. The stabilised
+element of MOOSE has γ F in the place of F, and γ³ J in that of J.
+
+Forces scale and shapes do not: what a stress says of a structure is σ/μ, which is what pictures and tables show.
 """
 
 from dataclasses import replace
@@ -30,12 +33,12 @@ def cauchy_stress(result: "Inflation") -> np.ndarray:
     ndarray
         NaN at load steps without equilibrium. With mean dilatation φ′ is the element's, as in the equilibrium.
     """
-    F, P, J = result.deformation_gradient, result.first_piola_kirchhoff, area_ratio(result)
-    mu = result.lame[1]
-    slope = ((P - mu * F) * F).sum((-1, -2)) / (2 * J)  # φ′
+    F, P, gamma = result.deformation_gradient, result.first_piola_kirchhoff, result.stretch_across
+    mu, J = result.lame[1], gamma**2 * area_ratio(result)
+    slope = ((P - mu * gamma[..., None, None] * F) * F).sum((-1, -2)) / (2 * J)  # φ′
     sigma = np.zeros((*F.shape[:-2], 3, 3))
     sigma[..., :2, :2] = P @ np.swapaxes(F, -1, -2) / J[..., None, None]
-    sigma[..., 2, 2] = mu / J + slope
+    sigma[..., 2, 2] = mu * gamma / J + slope
     return sigma
 
 
@@ -45,7 +48,7 @@ def von_mises(result: "Inflation") -> np.ndarray:
     xx, yy = np.moveaxis((F**2).sum(-1), -1, 0)  # of b
     xy = (F[..., 0, :] * F[..., 1, :]).sum(-1)
     squares = ((xx - yy) ** 2 + (yy - 1) ** 2 + (1 - xx) ** 2) / 2 + 3 * xy**2
-    return (result.lame[1] / area_ratio(result) * np.sqrt(squares)).mean(-1)
+    return (result.lame[1] / (result.stretch_across * area_ratio(result)) * np.sqrt(squares)).mean(-1)
 
 
 def largest_stretch(result: "Inflation") -> np.ndarray:
