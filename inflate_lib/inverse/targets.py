@@ -15,7 +15,7 @@ import numpy as np
 from inflate_lib._checks import positive_number
 from inflate_lib.descriptors import AXIS_POINTS, PHYSICAL, axis_height, basic, describe, get_descriptor
 from inflate_lib.inverse.drawings import OPEN, how_measured, read_outline
-from inflate_lib.mechanics import contact
+from inflate_lib.mechanics.contact import first_crossing
 from inflate_lib.models.reach import AGREE, SIZES
 
 _NUMBERS = (*SIZES, *PHYSICAL)
@@ -285,4 +285,4 @@ def _crosses_itself(points):
     numbers = np.arange(len(points))
     if len(np.unique(points, axis=0)) < len(points):
         return True
-    return bool(contact._count_crossings(points, np.column_stack([numbers, np.roll(numbers, -1)])))
+    return first_crossing(points, np.zeros((1, *points.shape)), np.column_stack([numbers, np.roll(numbers, -1)])) >= 0
