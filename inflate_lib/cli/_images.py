@@ -20,7 +20,7 @@ from inflate_lib.io.vtk import write_vtk
 from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, inflate, load_history
 from inflate_lib.mechanics.mesh import build_mesh
 from inflate_lib.mechanics.stress import QUANTITIES
-from inflate_lib.structures.labels import THICKNESS, label_image, turns_to_bottom
+from inflate_lib.structures.labels import THICKNESS, stages, turns_to_bottom
 
 ENGINES = ("built-in", "moose")
 SIZES = ("height", "width", "hull_area")
@@ -159,8 +159,9 @@ def _record(name, file, image, note, options, alone):
     try:
         if isinstance(image, ValueError):
             raise image
-        label = label_image(image, wall=options.wall, clamped=options.clamped)
-        mesh = build_mesh(label, options.refine, options.clamped)
+        structure = stages(image, wall=options.wall, clamped=options.clamped)
+        record["note"] = ", ".join(filter(None, (note, structure.note)))
+        mesh = build_mesh(structure.domains, options.refine, options.clamped)
         parameters = {name: getattr(options, name) for name in ("n_steps", "element", "pressure", "lame")}
         result = inflate(mesh, **parameters)
         if options.moose is not None:

@@ -11,7 +11,8 @@ from inflate_lib.cli.app import app
 @app.command()
 def simulate(
     images: Annotated[
-        list[Path], typer.Argument(help="PNG, …: 28 × 28, white on black; or .npy with one image or a stack.")
+        list[Path],
+        typer.Argument(help="PNG, …: 28 × 28, white on black; or .npy. All pages, frames and rows are read."),
     ],
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Picture: undeformed, and deformed and coloured.")] = None,

@@ -75,9 +75,12 @@ def _picture_points(path):
     """Corners of the border of the one shape in a picture, in pixels, y downwards."""
     from skimage.measure import find_contours
 
-    from inflate_lib.io.pictures import read_picture
+    from inflate_lib.io.pictures import read_pages
 
-    grey = np.asarray(read_picture(path))
+    pages, _ = read_pages(path)
+    if len(pages) > 1:
+        raise ValueError(f"{path} holds {len(pages)} pictures; one outline is needed")
+    (grey,) = pages
     if max(grey.shape) > _MAX_SIZE:
         raise ValueError(f"{path} is {grey.shape[1]} × {grey.shape[0]} pixels; {_MAX_SIZE} per side are enough")
     bright = grey > 127

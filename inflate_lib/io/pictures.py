@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageOps, ImageSequence, UnidentifiedImageError
 
 from inflate_lib._checks import choice
 from inflate_lib.mechanics import stress
@@ -13,6 +13,8 @@ from inflate_lib.structures.labels import FRAME
 
 if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
+
+_ONE_PICTURE = ("MPO", "PSD")  # formats whose frames are views or layers of the same picture
 
 
 def reached_steps(result):
@@ -106,7 +108,8 @@ def read_images(path: str | Path, resize: bool = False, invert: bool = False) ->
     Parameters
     ----------
     path : path_like
-        A picture (PNG, …: white structure on black, 8 bits) or ``.npy`` with (28, 28) or (n, 28, 28) numbers.
+        A picture (PNG, …: white structure on black, 8 bits), several pages or an animation of them, or ``.npy`` with
+        (28, 28) or (n, 28, 28) numbers.
     resize : bool
         Fit a picture of another size into 28 × 28: the longer side to 28 pixels, centred on black.
     invert : bool
@@ -120,39 +123,91 @@ def read_images(path: str | Path, resize: bool = False, invert: bool = False) ->
     path = Path(path)
     note = ""
     if path.suffix.lower() == ".npy":
-        try:
-            images = np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise ValueError(f"{path} cannot be read as a NumPy array: {in_one_line(error)}") from None
-        images = images[None] if images.ndim == 2 else images
-        if images.ndim != 3 or images.shape[1:] != (FRAME, FRAME) or not len(images):
-            raise ValueError(f"{path} holds an array of shape {images.shape}, not ({FRAME}, {FRAME}) or a stack")
+        images = _read_array(path)
     else:
-        picture = read_picture(path)
-        images = np.asarray(picture)[None]
-        if picture.size != (FRAME, FRAME):
-            width, height = picture.size
+        pages, note = read_pages(path)
+        if len({page.shape for page in pages}) > 1:
+            raise ValueError(f"{path} holds {len(pages)} pictures of different sizes; save each in a file of its own")
+        images = np.array(pages)
+        height, width = images.shape[1:]
+        if (height, width) != (FRAME, FRAME):
             if not resize:
                 raise ValueError(f"{path} is {width} × {height} pixels; {FRAME} × {FRAME} is needed (--resize fits it)")
-            note = f"resized from {width} × {height}"
+            note = f"resized from {width} × {height}" + f", {note}" * bool(note)
     if invert:  # before the frame is filled up with black
-        images = (255 if images.dtype == np.uint8 else 1) - images
-    return (_fitted(images[0])[None], note) if note else (images, note)
+        images = _inverted(images)
+    if images.shape[1:] != (FRAME, FRAME):
+        images = np.array([_fitted(image) for image in images])
+    return images, note
 
 
-def read_picture(path):
-    """A picture of any kind as 8-bit grey, a PIL image; a ValueError that names the file where it is none."""
+def read_pages(path: str | Path) -> tuple[list[np.ndarray], str]:
+    """The pictures in a file, each (height, width) 8-bit grey and upright, and a note on what was not read.
+
+    These are the pages of a TIFF and the frames of an animation. A file of several views of one scene (MPO, as some
+    cameras write it) or of layers (PSD) is one picture, its first view or what the layers make together. Turned is what
+    the EXIF tag of the orientation says to turn.
+
+    Raises
+    ------
+    ValueError
+        Naming the file, where there is no picture in it.
+    """
     try:
-        with Image.open(path) as picture:
-            if picture.mode.startswith(("I", "F")):
-                raise ValueError(f"{path} has more than 8 bits per pixel; convert it to 8-bit grey")
-            if "A" in picture.getbands() or "transparency" in picture.info:
-                raise ValueError(f"{path} is partly transparent; say what is behind it by saving it without alpha")
-            return picture.convert("L")
+        # As a stream: of a path Pillow maps raw TIFFs into memory, those that lie on their side with the wrong rows.
+        with open(path, "rb") as stream, Image.open(stream) as file:
+            n_frames = getattr(file, "n_frames", 1)
+            if file.format in _ONE_PICTURE:
+                return [_grey(file)], f"the first of {n_frames} views" * (file.format == "MPO")
+            return [_grey(frame) for frame in ImageSequence.Iterator(file)], ""
     except FileNotFoundError:
         raise ValueError(f"{path} does not exist") from None
-    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+    except _NotGrey as error:
+        raise ValueError(f"{path} {error}") from None
+    except UnidentifiedImageError:
+        raise ValueError(f"{path} cannot be read as a picture: it has no format that Pillow knows") from None
+    except Exception as error:  # whatever a decoder of Pillow meets in a damaged file
         raise ValueError(f"{path} cannot be read as a picture: {in_one_line(error)}") from None
+
+
+class _NotGrey(ValueError):
+    """Why a picture has no 8-bit grey values."""
+
+
+def _grey(picture):
+    """One picture as (height, width) uint8, upright."""
+    if picture.mode.startswith(("I", "F")):
+        raise _NotGrey("has more than 8 bits per pixel; convert it to 8-bit grey")
+    picture = ImageOps.exif_transpose(picture)
+    if picture.has_transparency_data:
+        picture = picture.convert("RGBA")
+        if picture.getchannel("A").getextrema()[0] < 255:
+            raise _NotGrey("is partly transparent; say what is behind it by saving it without alpha")
+    return np.array(picture.convert("L"))
+
+
+def _read_array(path):
+    """The array (n, 28, 28) in a .npy file."""
+    try:
+        images = np.load(path, allow_pickle=False)
+        if not isinstance(images, np.ndarray):
+            raise ValueError("it holds several arrays")
+    except (OSError, ValueError, EOFError) as error:
+        raise ValueError(f"{path} cannot be read as a NumPy array: {in_one_line(error)}") from None
+    images = images[None] if images.ndim == 2 else images
+    if images.ndim != 3 or images.shape[1:] != (FRAME, FRAME) or not len(images):
+        raise ValueError(f"{path} holds an array of shape {images.shape}, not ({FRAME}, {FRAME}) or a stack")
+    return images
+
+
+def _inverted(images):
+    """Black for white; what is no image of known range is left as it is, to be refused as that."""
+    if images.dtype == bool:
+        return ~images
+    if images.dtype == np.uint8:
+        return 255 - images
+    known = images.dtype.kind == "f" and images.min() >= 0 and images.max() <= 1
+    return 1 - images if known else images
 
 
 def _fitted(grey):

@@ -32,16 +32,20 @@ class _Stages:
     composite: np.ndarray  # e: labels, the digit laid over the expanded shape
     shifted: np.ndarray  # f: labels, moved to the clamped edge of the frame: down, if not asked otherwise
     domains: np.ndarray  # g: (28, 28) labels within the frame, what `label_image` returns
+    note: str = ""  # what of the drawing is not in the structure: smaller pieces, and holes
 
     def items(self):
         """Pairs of name and array, a to g."""
-        return [(name, getattr(self, name)) for name in self.__dataclass_fields__]
+        return [(name, getattr(self, name)) for name in self.__dataclass_fields__ if name != "note"]
 
 
 def label_image(
     image: np.ndarray, threshold: float = THRESHOLD, wall: int = THICKNESS, pad: bool = True, clamped: str = "bottom"
 ) -> np.ndarray:
     """Label image of the structure in a grey image (Fig. 2).
+
+    Pieces of a drawing that do not touch its largest one are dropped, and holes are filled; ``note`` of :func:`stages`
+    says where there were any.
 
     Parameters
     ----------
@@ -87,7 +91,23 @@ def stages(
     composite = np.where(digit, VOID, expanded)
     shifted = np.rot90(_into_frame(np.rot90(composite, turns), margin), -turns)
     frame = slice(margin, margin + FRAME)
-    return _Stages(grey, component, filled, expanded, composite, shifted, shifted[frame, frame].copy())
+    note = _left_out(grey > threshold, component, filled)
+    return _Stages(grey, component, filled, expanded, composite, shifted, shifted[frame, frame].copy(), note)
+
+
+def _left_out(bright, component, filled):
+    """What is dropped from the bright pixels, and what is filled, in words."""
+    from scipy import ndimage
+
+    words = []
+    for name, done, pixels, neighbours in (
+        ("smaller piece", "dropped", bright & ~component, _EIGHT_NEIGHBOURS),
+        ("hole", "filled", filled & ~component, None),
+    ):
+        if pixels.any():
+            n, size = ndimage.label(pixels, neighbours)[1], int(pixels.sum())
+            words.append(f"{n} {name}{'s' * (n > 1)} of {size} pixel{'s' * (size > 1)} {done}")
+    return ", ".join(words)
 
 
 def turns_to_bottom(clamped):
@@ -97,6 +117,8 @@ def turns_to_bottom(clamped):
 
 def as_grey(image):
     """A checked image as float in [0, 1], or a ValueError that says what is wrong with it."""
+    if np.ma.isMaskedArray(image):
+        raise ValueError("image is a masked array; give the values behind its mask, as by image.filled(0)")
     try:
         image = np.asarray(image)
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists; tensors that NumPy cannot take

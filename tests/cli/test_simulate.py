@@ -189,6 +189,21 @@ def test_pictures_of_another_size_are_fitted_on_request(folder):
     assert record["converged"] and record["note"] == "resized from 112 × 112"
 
 
+def test_a_stack_is_a_row_for_each_picture_and_what_is_left_out_is_noted(folder, run):
+    drawing = np.zeros((28, 28), np.uint8)
+    drawing[5:20, 5:15] = 255
+    drawing[9, 9] = 255 - drawing[9, 9]
+    drawing[3, 25] = 255
+    Image.fromarray(DIGITS[0]).save("pages.tif", save_all=True, append_images=[Image.fromarray(drawing)])
+    note = "1 smaller piece of 1 pixel dropped, 1 hole of 1 pixel filled"
+    code, out, _ = run("pages.tif", "--json", "--steps", "1")
+    first, second = json.loads(out)["structures"]
+    assert code == 0 and (first["name"], second["name"]) == ("pages_000", "pages_001")
+    assert first["note"] == "" and second["note"] == note
+    code, out, _ = run("pages.tif", "--steps", "1")
+    assert code == 0 and f"pages_001 ({note})" in " ".join(out.split())
+
+
 @pytest.mark.parametrize(
     ("name", "write", "message"),
     [
