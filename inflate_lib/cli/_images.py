@@ -13,10 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from inflate_lib._checks import choice
+from inflate_lib._files import check_outputs, naming
 from inflate_lib.descriptors import describe
 from inflate_lib.io import moose, pictures
-from inflate_lib.io.pictures import in_one_line, read_images
-from inflate_lib.io.vtk import write_vtk
+from inflate_lib.io.pictures import PICTURES, in_one_line, read_images, with_ending
+from inflate_lib.io.vtk import vtk_files, write_vtk
+from inflate_lib.mechanics import _kernels
 from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, inflate, load_history
 from inflate_lib.mechanics.mesh import build_mesh
 from inflate_lib.mechanics.stress import QUANTITIES
@@ -47,7 +49,7 @@ class Options:
     moose: Path | None = None
 
 
-def simulate_files(files, options):
+def simulate_files(files, options, inputs=()):
     """Inflate the structures in image files and write what the options ask for.
 
     Parameters
@@ -55,6 +57,8 @@ def simulate_files(files, options):
     files : list of path_like
         PNG or another picture, or ``.npy`` with one image or a stack of them.
     options : Options
+    inputs : list of path_like
+        Further files that were read, which no output may replace either.
 
     Yields
     ------
@@ -67,22 +71,27 @@ def simulate_files(files, options):
     ------
     ValueError
         For options that make no sense with any image.
+    OSError
+        For outputs that :func:`inflate_lib._files.check_outputs` refuses.
     """
     choice("colour", options.colour, QUANTITIES)
     choice("engine", options.engine, ENGINES)
     if options.engine == "moose" and options.moose is None:
         raise ValueError("engine moose needs a folder for its files: --moose DIR")
-    pictures = (".png", ".svg", ".pdf", ".jpg")
-    for name, suffixes in (("plot", pictures), ("gif", (".gif",)), ("vtk", (".pvd", ".vtu"))):
-        path = getattr(options, name)
-        if path is not None and Path(path).suffix.lower() not in suffixes:
-            raise ValueError(f"{name}: {path} must end with {' or '.join(suffixes)}")
-    load_history(options.pressure, options.n_steps)
+    for path, endings in ((options.plot, PICTURES), (options.gif, (".gif",)), (options.vtk, (".pvd", ".vtu"))):
+        if path is not None:
+            with_ending(path, *endings)
+    times, _ = load_history(options.pressure, options.n_steps)
     turns_to_bottom(options.clamped)
     images = [image for file in files for image in _images(Path(file), options)]
-    names = _distinct([name for name, *_ in images])
-    for name, (_, file, image, note) in zip(names, images, strict=True):
-        yield _record(name, file, image, note, options, alone=len(images) == 1)
+    ends = ("",) if options.moose is None else ("", "_out")  # MOOSE adds this one to the name of a case
+    named = list(zip(_distinct([name for name, *_ in images], ends), images, strict=True))
+    alone = len(images) == 1
+    good = [name for name, (_, _, image, _) in named if not isinstance(image, ValueError)]
+    outputs = [path for name in good for path in _outputs(name, options, alone, len(times))]
+    check_outputs(outputs, [*files, *inputs])
+    for name, (_, file, image, note) in named:
+        yield _record(name, file, image, note, options, alone)
 
 
 def read_history(text):
@@ -163,7 +172,8 @@ def _record(name, file, image, note, options, alone):
         record["note"] = ", ".join(filter(None, (note, structure.note)))
         mesh = build_mesh(structure.domains, options.refine, options.clamped)
         parameters = {name: getattr(options, name) for name in ("n_steps", "element", "pressure", "lame")}
-        result = inflate(mesh, **parameters)
+        with naming(Path(_kernels.__file__).with_name("__pycache__")):  # where compiled code is kept
+            result = inflate(mesh, **parameters)
         if options.moose is not None:
             case = moose.write_case(mesh, options.moose, name, **parameters)
             written += case
@@ -181,12 +191,19 @@ def _record(name, file, image, note, options, alone):
         if options.gif is not None:
             written.append(pictures.write_animation(result, _own(options.gif, name, alone), options.colour))
         if options.vtk is not None:
-            path = _own(options.vtk, name, alone)
-            series = write_vtk(result, path)
-            written += [file for file in series if file in (path, path.with_suffix(".pvd"))]
+            pvd, *series = write_vtk(result, path := _own(options.vtk, name, alone))
+            written += [pvd, *(file for file in series if file == path)]
     except (ValueError, OSError, RuntimeError) as error:
         record["reason"] = record["reason"] or in_one_line(error)  # a file that cannot be written counts as well
     return record | {"seconds": time.perf_counter() - start, "files": [str(path) for path in written]}
+
+
+def _outputs(name, options, alone, n_steps):
+    """All files that may be written for one structure."""
+    files = [_own(path, name, alone) for path in (options.plot, options.gif) if path is not None]
+    files += vtk_files(_own(options.vtk, name, alone), n_steps) if options.vtk is not None else []
+    case = moose.case_files(options.moose, name) if options.moose is not None else []
+    return files + (case if options.engine == "moose" else case[:2])
 
 
 def _sizes(shape):
@@ -194,16 +211,16 @@ def _sizes(shape):
     return {name: getattr(shape, name) for name in SIZES}
 
 
-def _distinct(names):
-    """Names made of safe characters, each one once: a second "seven" becomes "seven-2"."""
+def _distinct(names, ends):
+    """Names of safe characters, each one once, with any of the ends: a second "seven", or "Seven", is "seven-2"."""
     seen, distinct = set(), []
     for name in names:
         safe = candidate = re.sub(r"[^A-Za-z0-9._-]", "_", name) or "structure"
         number = 1
-        while candidate in seen:
+        while not seen.isdisjoint(taken := {f"{candidate}{end}".lower() for end in ends}):
             number += 1
             candidate = f"{safe}-{number}"
-        seen.add(candidate)
+        seen |= taken
         distinct.append(candidate)
     return distinct
 

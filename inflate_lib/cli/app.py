@@ -4,7 +4,9 @@ Each command has a module of its own, which imports what it needs when it is cal
 """
 
 import os
+import signal
 import sys
+import threading
 from importlib import import_module
 from typing import Annotated
 
@@ -26,11 +28,32 @@ Source = Annotated[str, typer.Option(help="What 'auto' means in the profile: aut
 Retrain = Annotated[bool, typer.Option("--retrain", help="Train the models, though data/pretrained has their weights.")]
 
 
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        import inflate_lib
+
+        print(f"inflate {inflate_lib.__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def main(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False) -> None:
+def main(
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
     """Set the way in which errors are shown."""
     if debug:
         os.environ["INFLATE_DEBUG"] = "1"
+
+
+def kill_is_ctrl_c() -> None:
+    """From here on a plain `kill`, or a closed terminal, ends the command in the same orderly way as Ctrl-C."""
+    if threading.current_thread() is threading.main_thread():
+        for number in {getattr(signal, name, signal.SIGTERM) for name in ("SIGTERM", "SIGHUP")}:
+            if signal.getsignal(number) == signal.SIG_DFL:  # not under nohup
+                signal.signal(number, signal.default_int_handler)
 
 
 def _load_commands() -> typer.Typer:

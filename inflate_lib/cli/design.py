@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from inflate_lib.cli.app import app
+from inflate_lib.cli.app import app, kill_is_ctrl_c
 
 
 @app.command()
 def design(
-    out: Annotated[Path, typer.Option(help="Folder for the designs; new or empty.")],
+    out: Annotated[Path, typer.Option(help="Folder for the designs; new or empty, or --overwrite.")],
     height: Annotated[float | None, typer.Option(help="Height of the inflated structure; the frame is 1.")] = None,
     width: Annotated[float | None, typer.Option(help="Width of the inflated structure.")] = None,
     area: Annotated[float | None, typer.Option(help="Area of its convex hull.")] = None,
@@ -46,7 +46,9 @@ def design(
     profile: Annotated[
         str | None, typer.Option(help="Weights of this profile (the best in data/pretrained, else ci).")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is in the folder.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the designs of an earlier run there; all else stays.")
+    ] = False,
 ) -> None:
     """Design structures that inflate to a size or a shape of your own; every one is verified by inflating it.
 
@@ -55,7 +57,7 @@ def design(
     well, or alone.
     """
     from inflate_lib.inverse.constraints import from_millimetres
-    from inflate_lib.inverse.save import check_folder, check_sizes, save_designs
+    from inflate_lib.inverse.save import check_sizes, claimed_folder, write_designs
     from inflate_lib.inverse.search import design
     from inflate_lib.inverse.targets import read_targets
 
@@ -63,17 +65,19 @@ def design(
     unit = size_mm if outline_unit is None else outline_unit
     targets = read_targets(height, width, area, axis, outline, unit, stress, stretch)
     constraints = from_millimetres(size_mm, min_void_mm, max_material_mm2, symmetric, keep_out_mm)
-    check_folder(out, overwrite)
+    inputs = [path for path in (axis, outline) if path is not None]
+    kill_is_ctrl_c()
     try:
-        found = design(
-            targets, number, profile=profile, constraints=constraints, tolerance=tolerance, prefer=prefer, seed=seed,
-            seconds=seconds, max_candidates=candidates, refine=refine,
-        )  # fmt: skip
-        print(found.summary())
-        if found.designs:
-            print(found.table().to_string(index=False, float_format="{:.4g}".format))
-        start = time.monotonic()
-        save_designs(found, out, size_mm, depth_mm, overwrite)
+        with claimed_folder(out, number, overwrite, inputs) as folder:
+            found = design(
+                targets, number, profile=profile, constraints=constraints, tolerance=tolerance, prefer=prefer,
+                seed=seed, seconds=seconds, max_candidates=candidates, refine=refine,
+            )  # fmt: skip
+            print(found.summary())
+            if found.designs:
+                print(found.table().to_string(index=False, float_format="{:.4g}".format))
+            start = time.monotonic()
+            write_designs(found, folder, size_mm, depth_mm)
     except KeyboardInterrupt:
         print(f"inflate: interrupted; nothing was written to {out}", file=sys.stderr)
         raise typer.Exit(130) from None

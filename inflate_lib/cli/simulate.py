@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from inflate_lib.cli.app import app
+from inflate_lib.cli.app import app, kill_is_ctrl_c
 
 
 @app.command()
@@ -40,6 +40,7 @@ def simulate(
 
     With several structures, the name of each goes into the names of its files. Exit code 1 where one failed.
     """
+    kill_is_ctrl_c()
     from inflate_lib.cli._images import Options, read_history, report, simulate_files
     from inflate_lib.mechanics.inflation import PRESSURE
 
@@ -52,5 +53,6 @@ def simulate(
         refine=refine, element=element, resize=resize, invert=invert, colour=colour, engine=engine, plot=plot, gif=gif,
         vtk=vtk, moose=moose,
     )  # fmt: skip
-    if report(simulate_files(images, options), json, options):
+    inputs = [] if history is None else [history]
+    if report(simulate_files(images, options, inputs), json, options):
         raise typer.Exit(1)

@@ -5,9 +5,11 @@ only, and so do the two cavity pixels beside them, no solid exists; there the ca
 cut into both walls, since the simulated cavity is one and has one pressure.
 """
 
-import errno
 import json
+import os
 import platform
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,10 +18,11 @@ from PIL import Image
 
 import inflate_lib
 from inflate_lib._checks import positive_number
-from inflate_lib._files import draft
+from inflate_lib._files import check_outputs, file_digest, hand_out_folder, locked, made, sweep, written_before
 from inflate_lib._provenance import package_versions
 from inflate_lib.io import moose, pictures
-from inflate_lib.io.vtk import write_vtk
+from inflate_lib.io.vtk import vtk_files, write_vtk
+from inflate_lib.mechanics.inflation import PRESSURE, load_history
 from inflate_lib.mechanics.mesh import boundary_loops
 from inflate_lib.structures.labels import FRAME, OUTSIDE, WALL
 
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
 
 SIZE_MM, DEPTH_MM, BASE_MM = 100.0, 20.0, 3.0
 _NOTCH = 0.05  # pixels
+_SEARCH_FILES = ("contact_sheet.png", "designs.csv", "designs.json")
 
 
 def save_designs(
@@ -39,20 +43,23 @@ def save_designs(
 ) -> list[Path]:
     """Write a contact sheet, a table and a folder for each design.
 
-    Everything is written beside `folder` first and moved there when it is whole.
+    ``contact_sheet.png``, ``designs.csv``, ``designs.json`` (the search, and the SHA-256 of every file), and in
+    ``design_01``, …: ``structure.png`` (28 × 28, what ``inflate simulate`` reads), ``picture.png``, ``outline.svg``
+    (mm), ``mould.stl`` (a tray in which the structure is cast) and ``part.stl`` (the structure itself),
+    ``inflated.pvd`` with its series, ``moose/``, and ``design.json`` with seed and provenance.
 
-    ``contact_sheet.png``, ``designs.csv``, ``designs.json`` (the search), and in ``design_01``, …: ``structure.png``
-    (28 × 28, what ``inflate simulate`` reads), ``picture.png``, ``outline.svg`` (mm), ``mould.stl`` (a tray in which
-    the structure is cast) and ``part.stl`` (the structure itself), ``inflated.pvd`` with its series, ``moose/``, and
-    ``design.json`` with seed and provenance.
+    Everything is written aside first, and moved to its place when it is whole.
 
     Parameters
     ----------
     designs : Designs
     folder : path_like
-        Must not exist yet, or be empty, unless `overwrite`.
+        Must not exist yet, or be empty, unless `overwrite`. A link to a folder is followed.
     size_mm, depth_mm : float
         Side of the frame, and thickness of the structure out of the plane, in millimetres.
+    overwrite : bool
+        Replace the designs of an earlier run, the files that its ``designs.json`` lists and that are as it wrote them.
+        Everything else in the folder stays.
 
     Returns
     -------
@@ -64,8 +71,40 @@ def save_designs(
     ValueError
         For sizes that are none, and where there is nothing to write.
     OSError
-        Where the folder is there already, or cannot be written; then nothing is left behind.
+        Where the folder is not empty, or cannot be written, or another run is writing there, or a file of another
+        origin has the name of one of these; then nothing has changed.
     """
+    with claimed_folder(folder, len(designs.designs), overwrite) as claimed:
+        write_designs(designs, claimed, size_mm, depth_mm)
+    names = ("contact_sheet.png", "designs.csv", *_names(len(designs.designs)))
+    return [Path(folder) / name for name in names]
+
+
+@contextmanager
+def claimed_folder(
+    folder: str | Path, n: int, overwrite: bool = False, inputs: Iterable[str | Path] = ()
+) -> Iterator[Path]:
+    """Hold a folder for up to `n` designs, before they are looked for: made, locked, and checked.
+
+    Errors are those of :func:`save_designs`; none of the inputs is replaced either.
+    """
+    folder = Path(os.path.realpath(folder))
+    if folder.exists() and not folder.is_dir():
+        raise FileExistsError(f"{folder}: there is a file of this name; give a folder")
+    with made(folder), locked(folder):
+        sweep(folder)
+        if not overwrite and any(folder.iterdir()):
+            raise FileExistsError(f"{folder}: the folder is not empty; give another one or --overwrite")
+        ours = _ours(folder)
+        files = [folder / name for name in _SEARCH_FILES]
+        files += [folder / name / file for name in _names(n) for file in _design_files(name)]
+        files += filter(ours, (folder / name for name in _listed(folder)))  # they will be removed
+        check_outputs(dict.fromkeys(files), inputs, ours)
+        yield folder
+
+
+def write_designs(designs: "Designs", folder: Path, size_mm: float = SIZE_MM, depth_mm: float = DEPTH_MM) -> None:
+    """Write designs into a folder from :func:`claimed_folder`; see :func:`save_designs`."""
     import matplotlib.pyplot as plt
 
     from inflate_lib.plotting.designs import plot_designs
@@ -73,12 +112,11 @@ def save_designs(
     check_sizes(size_mm=size_mm, depth_mm=depth_mm)
     if not designs.designs:
         raise ValueError("there is no design to write: no candidate was a structure")
-    folder = check_folder(folder, overwrite)
-    names = [f"design_{number:02d}" for number in range(1, len(designs.designs) + 1)]
+    ours, digests = _ours(folder), {}
+    earlier = [Path(name) for name in _listed(folder) if ours(folder / name)]
     try:
-        with draft(folder) as place:
-            place.mkdir()
-            for name, one in zip(names, designs.designs, strict=True):
+        with hand_out_folder(folder, ours) as place:
+            for name, one in zip(_names(len(designs.designs)), designs.designs, strict=True):
                 _write_design(one, place / name, name, designs, size_mm, depth_mm)
             fig = plot_designs(designs)
             try:
@@ -86,11 +124,20 @@ def save_designs(
             finally:
                 plt.close(fig)
             designs.table().to_csv(place / "designs.csv", index=False, float_format="%.8g")
-            _write_json(place / "designs.json", _search_record(designs))
+            files = [file for file in sorted(place.rglob("*")) if file.is_file()]
+            digests |= {file.relative_to(place).as_posix(): file_digest(file) for file in files}
+            _write_json(place / "designs.json", _search_record(designs) | {"files": digests})
     except OSError as error:
-        reason = f"{error.strerror or error}; no designs were written: make room, or give another folder"
-        raise OSError(error.errno, reason, str(folder.absolute())) from error
-    return [folder / name for name in ("contact_sheet.png", "designs.csv", *names)]
+        if error.errno is None:
+            raise
+        reason = f"{error.strerror}; no designs were written: make room, or give another folder"
+        raise OSError(error.errno, reason, str(error.filename or folder)) from error
+    for file in earlier:
+        if file.as_posix() not in digests:
+            (folder / file).unlink()
+            for parent in file.parents[:-1]:
+                with suppress(OSError):  # there is something else in it
+                    (folder / parent).rmdir()
 
 
 def check_sizes(**sizes):
@@ -99,14 +146,39 @@ def check_sizes(**sizes):
         positive_number(name, value, "millimetres")
 
 
-def check_folder(folder, overwrite=False):
-    """`folder` as a Path, or an OSError where designs cannot be written there."""
-    folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise FileExistsError(errno.EEXIST, "there is a file of this name; give a folder", str(folder))
-    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
-        raise FileExistsError(errno.EEXIST, "the folder is not empty; give another one or --overwrite", str(folder))
-    return folder
+def _names(n):
+    """Names of the folders of so many designs."""
+    return [f"design_{number:02d}" for number in range(1, n + 1)]
+
+
+def _design_files(name):
+    """What :func:`_write_design` writes."""
+    own = ["structure.png", "picture.png", "outline.svg", "mould.stl", "part.stl", "design.json"]
+    times, _ = load_history(PRESSURE)
+    return [*own, *vtk_files("inflated.pvd", len(times)), *moose.case_files("moose", name)[:2]]
+
+
+def _listed(folder):
+    """What an earlier run wrote into a folder: name → SHA-256; its record ``designs.json`` says so."""
+    try:
+        record = json.loads((folder / "designs.json").read_text(encoding="utf-8"))
+        files = record["files"] if record["versions"]["inflate_lib"] else {}
+        return {name: digest for name, digest in files.items() if ".." not in Path(name).parts and name[:1] != "/"}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return {}
+
+
+def _ours(folder):
+    """Whether a file in a folder is as an earlier run wrote it, perhaps on another machine."""
+    listed = _listed(folder)
+
+    def ours(path):
+        name = os.path.relpath(path, folder)
+        if name == "designs.json":
+            return bool(listed)
+        return written_before(path) or (path.is_file() and listed.get(Path(name).as_posix()) == file_digest(path))
+
+    return ours
 
 
 def _search_record(designs):

@@ -14,6 +14,7 @@ import os
 import shutil
 import signal
 import subprocess
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inflate_lib._checks import choice
+from inflate_lib._files import check_outputs, hand_out, hand_out_folder, naming
 from inflate_lib.io import _exodus
 from inflate_lib.mechanics._kernels import MAX_HALVINGS
 from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, load_history
@@ -179,15 +181,24 @@ def write_case(mesh: "Mesh", folder: str | Path, name: str = "inflation", **para
     ------
     ValueError
         For a name that MOOSE's input syntax would not take for one word.
+    OSError
+        Where a file cannot be written, or would replace one that is not as this library wrote it; none is left behind
+        then.
     """
     if not name or not all(c.isalnum() or c in "._-" for c in name):
         raise ValueError(f"name: {name!r} must consist of letters, digits, dots, hyphens and underscores")
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{name}.i", folder / f"{name}.e"]
-    files[0].write_text(_input_text(name, **parameters), encoding="utf-8")
-    _exodus.write_mesh(mesh, files[1])
+    text, files = _input_text(name, **parameters), case_files(folder, name)[:2]
+    with hand_out_folder(folder) as place:
+        with naming(files[0]):
+            (place / f"{name}.i").write_text(text, encoding="utf-8")
+        with naming(files[1]):
+            _exodus.write_mesh(mesh, place / f"{name}.e")
     return files
+
+
+def case_files(folder, name):
+    """The input, the mesh, and the results that a run of MOOSE writes."""
+    return [Path(folder) / file for file in (f"{name}.i", f"{name}.e", f"{name}_out.e")]
 
 
 def _find_program():
@@ -222,25 +233,22 @@ def run_case(result: "Inflation", input_file: str | Path, time_limit: float = 60
         Where there is no MOOSE, or it wrote no results in time; what it started is ended with it.
     ValueError
         Where what it wrote is not what Exodus results of this mesh look like.
+    OSError
+        Where its results cannot be written beside the input, or would replace a file that is not of an earlier run.
     """
     input_file = Path(input_file)
-    output = input_file.with_name(f"{input_file.stem}_out.e")
-    output.unlink(missing_ok=True)  # an older run must not pass for this one
-    command = [_find_program(), "-i", input_file.name]
-    with subprocess.Popen(
-        command, cwd=input_file.parent, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        text=True, errors="replace", start_new_session=True,
-    ) as process:  # fmt: skip
-        try:
-            text, _ = process.communicate(timeout=time_limit)
-        except BaseException as error:  # out of time, or interrupted
-            os.killpg(process.pid, signal.SIGKILL)  # MOOSE may be a script that started the program proper
-            if not isinstance(error, subprocess.TimeoutExpired):
-                raise
-            raise RuntimeError(f"MOOSE did not finish {input_file.name} within {time_limit:g} s") from None
-    said = ([line.strip() for line in text.splitlines() if line.strip()] or ["nothing"])[-1]
-    if not output.exists():
-        raise RuntimeError(f"MOOSE wrote no results for {input_file.name} (exit code {process.returncode}): {said}")
+    case, mesh, output = case_files(input_file.parent, input_file.stem)
+    command = [_find_program(), "-i", case.name]
+    check_outputs([output])
+    with tempfile.TemporaryDirectory() as folder:  # so that no older run passes for this one, nor half of this one
+        for file in (case, mesh):
+            shutil.copy(file, folder)
+        code, said = _run(command, folder, time_limit)
+        found = Path(folder, output.name)
+        if not found.exists():
+            raise RuntimeError(f"MOOSE wrote no results for {case.name} (exit code {code}): {said}")
+        with hand_out(output) as place:
+            shutil.copy(found, place)
     times, found = _exodus.read_displacement(output, result.nodes)
     displacement = np.full(result.displacement.shape, np.nan)
     for step, time in enumerate(result.load_steps):
@@ -252,6 +260,22 @@ def run_case(result: "Inflation", input_file: str | Path, time_limit: float = 60
     converged = reached == len(result.load_steps)
     reason = "" if converged else f"MOOSE reached load step {reached} of {len(result.load_steps)}: {said}"
     return replace(result, displacement=displacement, converged=converged, reason=reason, factorisations=0)
+
+
+def _run(command, folder, time_limit):
+    """Exit code and last line of a program that runs in a folder."""
+    with subprocess.Popen(
+        command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True, errors="replace", start_new_session=True,
+    ) as process:  # fmt: skip
+        try:
+            text, _ = process.communicate(timeout=time_limit)
+        except BaseException as error:  # out of time, or interrupted
+            os.killpg(process.pid, signal.SIGKILL)  # MOOSE may be a script that started the program proper
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
+            raise RuntimeError(f"MOOSE did not finish {command[-1]} within {time_limit:g} s") from None
+    return process.returncode, ([line.strip() for line in text.splitlines() if line.strip()] or ["nothing"])[-1]
 
 
 def _words(numbers):

@@ -7,6 +7,7 @@ import numpy as np
 from PIL import Image, ImageOps, ImageSequence, UnidentifiedImageError
 
 from inflate_lib._checks import choice
+from inflate_lib._files import hand_out
 from inflate_lib.mechanics import stress
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.structures.labels import FRAME
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
 
 _ONE_PICTURE = ("MPO", "PSD")  # formats whose frames are views or layers of the same picture
+
+
+#: Endings of pictures that can be written; capitals are as good.
+PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 
 
 def reached_steps(result):
@@ -39,7 +44,7 @@ def write_picture(result: "Inflation", path: str | Path, quantity: str = "von-mi
     result : Inflation
         At the last load step that has an equilibrium.
     path : path_like
-        Any format that matplotlib writes, by its suffix.
+        Its end says what it becomes, see `PICTURES`.
     quantity : {"von-mises", "stretch"}
 
     Returns
@@ -50,6 +55,9 @@ def write_picture(result: "Inflation", path: str | Path, quantity: str = "von-mi
     ------
     ValueError
         For an unknown quantity or suffix, and where no load step has an equilibrium.
+    OSError
+        Where the file cannot be written, or would replace one that is not as this library wrote it; nothing is left
+        behind then.
     """
     import matplotlib.pyplot as plt
 
@@ -57,10 +65,11 @@ def write_picture(result: "Inflation", path: str | Path, quantity: str = "von-mi
 
     steps = reached_steps(result)
     values, label = _coloured(result, quantity)
-    path = _ready(path)
+    path = with_ending(path, *PICTURES)
     fig = plot_inflation(result, values[1:], label, steps - 1)
     try:
-        fig.savefig(path)
+        with hand_out(path) as place:
+            fig.savefig(place)
     finally:
         plt.close(fig)
     return path
@@ -77,10 +86,11 @@ def write_animation(
 
     steps = reached_steps(result)
     values, label = _coloured(result, quantity)
-    path = _ready(path, ".gif")
+    path = with_ending(path, ".gif")
     fig, animation = animate_inflation(result, values, label, steps)
     try:
-        animation.save(path, writer=PillowWriter(fps=frames_per_second), dpi=90)
+        with hand_out(path) as place:
+            animation.save(place, writer=PillowWriter(fps=frames_per_second), dpi=90)
     finally:
         plt.close(fig)
     return path
@@ -93,12 +103,11 @@ def _coloured(result, quantity):
     return np.concatenate([np.full_like(values[:1], at_rest), values]), label
 
 
-def _ready(path, *suffixes):
-    """`path` with its folder made; a ValueError where the suffix is another one."""
+def with_ending(path, *endings):
+    """`path` as a Path; a ValueError where it has none of the endings, in whatever case."""
     path = Path(path)
-    if suffixes and path.suffix.lower() not in suffixes:
-        raise ValueError(f"{path}: the name must end with {' or '.join(suffixes)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix.lower() not in endings:
+        raise ValueError(f"{path}: the name must end with {' or '.join(endings)}")
     return path
 
 

@@ -1,13 +1,13 @@
 """From an inflated structure to a ParaView series."""
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
 
-from inflate_lib.io.pictures import _ready, reached_steps
+from inflate_lib._files import hand_out_folder, naming
+from inflate_lib.io.pictures import reached_steps, with_ending
 from inflate_lib.mechanics import stress
 
 if TYPE_CHECKING:
@@ -32,33 +32,52 @@ def write_vtk(result: "Inflation", path: str | Path) -> list[Path]:
     -------
     list of Path
         The ``.pvd`` first, then the ``.vtu`` files in the order of time, then ``name.vtu`` if it was asked for.
+
+    Raises
+    ------
+    ValueError
+        For another suffix, and where no load step has an equilibrium.
+    OSError
+        Where a file cannot be written, or would replace one that is not as this library wrote it; none is left behind
+        then.
     """
     import meshio
 
-    asked = _ready(path, ".pvd", ".vtu")
-    path = asked.with_suffix(".pvd")
     steps = reached_steps(result)
+    files = vtk_files(path, steps)
+    pvd, *series = files
     points = np.column_stack([result.nodes, np.zeros(len(result.nodes))])
     fields = _cell_fields(result)
     collection = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     listed = ElementTree.SubElement(collection, "Collection")
-    written = [path]
-    for step in range(steps + 1):
-        displacement = np.zeros_like(points)
-        if step:
-            displacement[:, :2] = result.displacement[step - 1]
-        file = path.with_name(f"{path.stem}_{step:03d}.vtu")
-        cells = [("quad", result.cells)]
-        cell_data = {name: [values[step]] for name, values in fields.items()}
-        meshio.Mesh(points, cells, {"displacement": displacement}, cell_data).write(file)
-        time = result.load_steps[step - 1] if step else 0.0
-        ElementTree.SubElement(listed, "DataSet", timestep=f"{time:.12g}", part="0", file=file.name)
-        written.append(file)
-    ElementTree.indent(collection)
-    ElementTree.ElementTree(collection).write(path, encoding="utf-8", xml_declaration=True)
-    if asked.suffix.lower() == ".vtu":
-        written.append(Path(shutil.copy(written[-1], asked)))
-    return written
+    with hand_out_folder(pvd.parent) as folder:
+        for step, file in enumerate(series):
+            step = min(step, steps)  # the last one twice, where it is asked for by name
+            displacement = np.zeros_like(points)
+            if step:
+                displacement[:, :2] = result.displacement[step - 1]
+            cells = [("quad", result.cells)]
+            cell_data = {name: [values[step]] for name, values in fields.items()}
+            with naming(file):
+                meshio.Mesh(points, cells, {"displacement": displacement}, cell_data).write(
+                    folder / file.name, file_format="vtu"
+                )
+        for step, file in enumerate(series[: steps + 1]):
+            time = result.load_steps[step - 1] if step else 0.0
+            ElementTree.SubElement(listed, "DataSet", timestep=f"{time:.12g}", part="0", file=file.name)
+        ElementTree.indent(collection)
+        with naming(pvd):
+            ElementTree.ElementTree(collection).write(folder / pvd.name, encoding="utf-8", xml_declaration=True)
+    return files
+
+
+def vtk_files(path, n_steps):
+    """What :func:`write_vtk` writes, and in which order; a ValueError where the name has another ending."""
+    asked = with_ending(path, ".pvd", ".vtu")
+    series = [asked.with_name(f"{asked.stem}_{step:03d}.vtu") for step in range(n_steps + 1)]
+    if asked.suffix.lower() == ".pvd":
+        return [asked, *series]
+    return [asked.with_suffix(".pvd"), *series, asked]
 
 
 def _cell_fields(result):

@@ -1,6 +1,7 @@
 """What a design is handed out as, read by programs that are not ours; and that half of it is never handed out."""
 
 import errno
+import hashlib
 import json
 import os
 import resource
@@ -9,6 +10,7 @@ from collections import Counter
 from dataclasses import replace
 from itertools import count
 
+import matplotlib.pyplot as plt
 import meshio
 import numpy as np
 import pandas as pd
@@ -18,11 +20,20 @@ import trimesh
 import xarray as xr
 from PIL import Image
 
-from inflate_lib import describe, inflate, label_image
+from inflate_lib import describe, inflate, label_image, paths
 from inflate_lib.inverse import save
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.refine import Rejection
-from inflate_lib.inverse.save import _opened_grid, _outline_svg, _search_record, _write_stl, mould, part, save_designs
+from inflate_lib.inverse.save import (
+    _opened_grid,
+    _outline_svg,
+    _search_record,
+    _write_stl,
+    claimed_folder,
+    mould,
+    part,
+    save_designs,
+)
 from inflate_lib.inverse.search import Design, Designs, Stop
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.io.pictures import read_images
@@ -182,10 +193,23 @@ def test_every_file_is_read_by_others(designs, tmp_path):
         assert record["search"]["rejected"][1] == {
             "reason": "no_structure", "sentence": "The drawing holds no structure.", "drawings": 2
         }  # fmt: skip
-    assert json.loads((tmp_path / "out" / "designs.json").read_text()) == json.loads(
-        json.dumps(_search_record(designs))
-    )
+    record = json.loads((tmp_path / "out" / "designs.json").read_text())
+    assert record.pop("files") == digests(tmp_path / "out")
+    assert record == json.loads(json.dumps(_search_record(designs)))
     assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Pictures take most of the time, and are not what is tested."""
+    monkeypatch.setattr(save.pictures, "write_picture", lambda result, path: path.write_text("a picture"))
+    monkeypatch.setattr("inflate_lib.plotting.designs.plot_designs", lambda designs: plt.figure(figsize=(1, 1)))
+
+
+def digests(folder):
+    """SHA-256 of every file but the record, as other programs compute it."""
+    files = [file for file in folder.rglob("*") if file.is_file() and file.name != "designs.json"]
+    return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("broken"), OSError(errno.ENOSPC, "No space left")])
@@ -201,7 +225,7 @@ def test_a_stop_in_the_middle_leaves_nothing(designs, tmp_path, monkeypatch, err
     monkeypatch.setattr(save, "write_vtk", stop)
     with pytest.raises(type(error)) as stopped:
         save_designs(designs, tmp_path / "new" / "out")
-    assert os.listdir(tmp_path / "new") == []
+    assert os.listdir(tmp_path) == []
     if isinstance(error, OSError):
         assert "No space left; no designs were written" in str(stopped.value) and "out" in str(stopped.value)
 
@@ -217,21 +241,112 @@ def test_a_full_disk_is_a_clear_error(designs, tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, ignored)
-    assert stopped.value.filename == str(tmp_path / "out")
+    assert stopped.value.filename == str(tmp_path / "out" / "design_01" / "picture.png")
     assert os.listdir(tmp_path) == []
 
 
-def test_what_is_there_is_kept_unless_told_otherwise(designs, tmp_path):
+def test_what_is_there_is_kept(designs, quick, tmp_path):
     out = tmp_path / "out"
-    out.mkdir()
-    (out / "mine.txt").write_text("kept")
+    (out / "design_01").mkdir(parents=True)
+    (out / "design_01" / "mine.txt").write_text("kept")
     with pytest.raises(FileExistsError, match="not empty"):
         save_designs(designs, out)
     with pytest.raises(FileExistsError, match="a file of this name"):
-        save_designs(designs, out / "mine.txt")
-    assert [path.name for path in out.iterdir()] == ["mine.txt"]
+        save_designs(designs, out / "design_01" / "mine.txt")
+    (out / "designs.csv").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"designs\.csv is there already"):
+        save_designs(designs, out, overwrite=True)
+    assert sorted(os.listdir(out)) == ["design_01", "designs.csv"] and os.listdir(out / "design_01") == ["mine.txt"]
+    (out / "designs.csv").unlink()
     save_designs(designs, out, overwrite=True)
-    assert not (out / "mine.txt").exists() and (out / "contact_sheet.png").exists()
+    assert (out / "contact_sheet.png").exists() and (out / "design_01" / "mine.txt").read_text() == "kept"
+
+
+def test_an_earlier_run_is_replaced_as_far_as_it_is_unchanged(designs, quick, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    save_designs(designs, out)
+    monkeypatch.setattr(
+        paths, "CACHE", tmp_path / "cache"
+    )  # on another machine the folder's own record is all there is
+    (out / "design_02" / "notes.txt").write_text("mine")
+    (out / "design_02" / "outline.svg").write_text("changed")
+    fewer = replace(designs, designs=designs.designs[1:])
+    save_designs(fewer, out, overwrite=True)
+    assert sorted(os.listdir(out)) == ["contact_sheet.png", "design_01", "design_02", "designs.csv", "designs.json"]
+    assert sorted(os.listdir(out / "design_02")) == ["notes.txt", "outline.svg"]
+    shape = json.loads((out / "design_01" / "design.json").read_text())["achieved"]
+    assert shape["height"] == designs.designs[1].shape.height
+    before = digests(out)
+    with pytest.raises(FileExistsError, match=r"design_02/outline\.svg is there already"):
+        save_designs(designs, out, overwrite=True)
+    assert digests(out) == before
+    (out / "design_02" / "outline.svg").unlink()
+    save_designs(designs, out, overwrite=True)
+    assert (out / "design_02" / "notes.txt").read_text() == "mine"
+
+
+def test_a_foreign_record_gives_no_right_to_a_file(designs, quick, tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "out").mkdir()
+    record = {"files": {"../mine": hashlib.sha256(b"mine").hexdigest(), str(tmp_path / "mine"): "0"}}
+    for text in ("{}", "[]", "no JSON", json.dumps(record)):
+        (tmp_path / "out" / "designs.json").write_text(text)
+        with pytest.raises(FileExistsError, match=r"designs\.json is there already"):
+            save_designs(designs, tmp_path / "out", overwrite=True)
+    assert (tmp_path / "mine").exists()
+
+
+def test_designs_go_where_a_link_leads_and_into_the_folder_one_stands_in(designs, quick, tmp_path, monkeypatch):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "link").symlink_to("disk")
+    save_designs(designs, tmp_path / "link")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "disk" / "designs.json").exists()
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    save_designs(designs, ".")
+    assert sorted(os.listdir(".")) == ["contact_sheet.png", "design_01", "design_02", "designs.csv", "designs.json"]
+    assert sorted(os.listdir(tmp_path)) == ["disk", "here", "link"]
+
+
+def test_a_folder_is_for_one_run(designs, quick, tmp_path):
+    with claimed_folder(tmp_path / "out", 2), pytest.raises(BlockingIOError, match="another run"):
+        save_designs(designs, tmp_path / "out", overwrite=True)
+    assert os.listdir(tmp_path) == []  # nothing was found, and nothing written
+
+
+def test_inputs_are_no_outputs(designs, quick, tmp_path):
+    save_designs(designs, tmp_path)
+    for name in ("design_01/outline.svg", "design_02/outline.svg"):  # the second would be removed
+        with (
+            pytest.raises(FileExistsError, match=r"input .*outline\.svg"),
+            claimed_folder(tmp_path, 1, True, [tmp_path / name]),
+        ):
+            pass
+
+
+@pytest.mark.parametrize("after", [0, 3, 17, 40])
+def test_a_run_killed_between_two_files_is_mended_by_the_next(designs, quick, tmp_path, monkeypatch, after):
+    """A kill at any moment: the moves after it do not happen, nor is anything tidied up."""
+    save_designs(designs, tmp_path / "out")
+    other = replace(designs, designs=designs.designs[::-1])
+    child = os.fork()
+    if not child:
+        calls, move = count(), os.replace
+
+        def killed(*arguments):
+            if next(calls) == after:
+                os._exit(9)
+            move(*arguments)
+
+        os.replace = killed
+        save_designs(other, tmp_path / "out", overwrite=True)
+        os._exit(0)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    left = [path.name for path in (tmp_path / "out").iterdir() if path.name.endswith(".partial")]
+    assert len(left) == (code == 9) and not any(name.startswith(".") for name in left)
+    save_designs(other, tmp_path / "out", overwrite=True)
+    record = json.loads((tmp_path / "out" / "designs.json").read_text())
+    assert record["files"] == digests(tmp_path / "out")
 
 
 @pytest.mark.parametrize("sizes", [{"size_mm": 0}, {"depth_mm": float("nan")}, {"size_mm": True}])

@@ -269,7 +269,7 @@ def test_a_script_that_hangs_takes_nothing_with_it(result, stand_in, tmp_path):
     stand_in(
         "import subprocess, time\n"
         "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
-        "pathlib.Path('child').write_text(str(child.pid)); time.sleep(60)"
+        f"pathlib.Path({str(tmp_path / 'child')!r}).write_text(str(child.pid)); time.sleep(60)"
     )
     with pytest.raises(RuntimeError, match=r"within 2 s"):
         moose.run_case(result, case[0], time_limit=2)
@@ -293,9 +293,27 @@ def test_a_program_that_cannot_run_is_said(result, stand_in, tmp_path):
     assert not record["converged"] and "solid_mechanics-opt" in record["reason"]
 
 
+def test_results_replace_those_of_an_earlier_run_and_no_others(result, stand_in, tmp_path):
+    case, out = moose.write_case(result.mesh, tmp_path, "seven")[0], tmp_path / "seven_out.e"
+    write_results(tmp_path / "recorded.e", result.nodes, result.load_steps, result.displacement, "NETCDF4")
+    stand_in(f"shutil.copy({str(tmp_path / 'recorded.e')!r}, 'seven_out.e')")
+    for _ in range(2):
+        moose.run_case(result, case)
+        assert out.read_bytes() == (tmp_path / "recorded.e").read_bytes()
+    stand_in("pathlib.Path('seven_out.e').write_text('half'); sys.exit('killed')")
+    out.write_text("from a run of one's own")
+    with pytest.raises(FileExistsError, match=r"seven_out\.e is there already"):
+        moose.run_case(result, case)
+    assert out.read_text() == "from a run of one's own"
+    out.unlink()
+    stand_in("pathlib.Path('seven_out.e').write_text('half'); import time; time.sleep(30)")
+    with pytest.raises(RuntimeError, match="within 1 s"):
+        moose.run_case(result, case, time_limit=1)
+    assert not out.exists()
+
+
 def test_a_run_without_results_says_why(result, stand_in, tmp_path, monkeypatch):
     case = moose.write_case(result.mesh, tmp_path, "seven")
-    (tmp_path / "seven_out.e").write_text("from an older run")
     stand_in("sys.exit('*** ERROR *** unused parameter')")
     with pytest.raises(RuntimeError, match=r"exit code 1.*unused parameter"):
         moose.run_case(result, case[0])
