@@ -15,7 +15,7 @@ import pandas as pd
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.diffusion import TrainingConfig
 from inflate_lib.experiments.calibrate import calibrate
-from inflate_lib.experiments.run import run_experiment
+from inflate_lib.experiments.run import held_out_seed, run_experiment
 from inflate_lib.experiments.tables import scores
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def evaluate_variant(model, data, targets, seed=0, n_calibration=_N_CALIBRATION,
             with suppress(ValueError):
                 calibration = calibrate(model, data, n_calibration, seed, descriptor, n_jobs)
                 model = replace(model, calibrations={descriptor: calibration})
-        experiment = run_experiment(model, targets, 1, seed, descriptor, n_jobs, extrapolate=True)
+        experiment = run_experiment(model, targets, 1, held_out_seed(seed), descriptor, n_jobs, extrapolate=True)
     return measures(experiment, descriptor, data, seed)
 
 

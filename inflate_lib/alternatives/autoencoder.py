@@ -16,7 +16,7 @@ from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import added_version, descriptor_matrix
 from inflate_lib.diffusion import _storage
 from inflate_lib.diffusion._loop import fit
-from inflate_lib.diffusion._random import initialised, random_generator
+from inflate_lib.diffusion._random import initialised, random_generator, seed_for
 from inflate_lib.experiments.run import check_targets, judge
 from inflate_lib.models.calibration import Calibration
 
@@ -178,7 +178,8 @@ def run_autoencoder(
     told = targets if calibration is None else calibration.told(targets)
 
     def make(target, scratch):
-        data = judge(model.generate(told, seed), descriptor, targets, n_jobs=n_jobs, folder=scratch)
+        images = model.generate(told, seed_for(seed, descriptor))
+        data = judge(images, descriptor, targets, n_jobs=n_jobs, folder=scratch)
         save_dataset(data, target)
 
     weights = [value.numpy() for _, value in sorted(model.net.state_dict().items())]
@@ -198,7 +199,7 @@ def calibrate_autoencoder(model, descriptor, data, seed=0, n=200, n_jobs=-1):
         return None
     known = descriptor_matrix(data, descriptor)[training_rows(data)]
     targets = known[np.random.default_rng([seed, 5]).permutation(len(known))[:n]]
-    answer = run_autoencoder(model, descriptor, targets, seed + 1_000_003, n_jobs)
+    answer = run_autoencoder(model, descriptor, targets, seed_for(seed, "calibration"), n_jobs)
     valid = answer["valid"].values
     try:
         return Calibration.fit(targets[valid], descriptor_matrix(answer, descriptor)[valid])

@@ -9,6 +9,7 @@ from sklearn.neighbors import NearestNeighbors
 
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.diffusion._random import seed_for
 from inflate_lib.experiments.run import as_experiment
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 def random_structures(data: "xr.Dataset", descriptor: str, targets: np.ndarray, seed: int = 0) -> "xr.Dataset":
     """A real structure for each target, whatever the target, as an experiment (:func:`.as_experiment`)."""
-    rows = np.random.default_rng(seed).choice(training_rows(data), len(targets))
+    rows = np.random.default_rng(seed_for(seed, descriptor, "chance")).choice(training_rows(data), len(targets))
     return as_experiment(data.isel(structure=rows), descriptor, np.asarray(targets))
 
 

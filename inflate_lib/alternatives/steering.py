@@ -24,6 +24,7 @@ from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives import surrogate
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.diffusion import process
+from inflate_lib.diffusion._random import seed_for
 from inflate_lib.diffusion.sampling import denoise, guided, noise_images
 from inflate_lib.diffusion.schedule import at
 from inflate_lib.experiments.run import check_targets, judge, model_digest
@@ -131,7 +132,7 @@ def run_steered(model, targets, trained, strength, n_per_target, seed, n_jobs=-1
 
     def make(target, scratch):
         images = [
-            steer(model, told[rows], targets[rows], trained, strength, seed, start)
+            steer(model, told[rows], targets[rows], trained, strength, seed_for(seed, model.name), start)
             for start in range(0, len(level), 256)
             for rows in [level[start : start + 256]]
         ]

@@ -31,6 +31,7 @@ def train(
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
     from inflate_lib.diffusion import _ranks
+    from inflate_lib.experiments.calibrate import calibrate_weights
     from inflate_lib.models import train
     from inflate_lib.models.reach import save_reach
     from inflate_lib.models.recipe import load_recipe
@@ -60,6 +61,11 @@ def train(
         text = "\n".join(_export(Path(file), name, told, out) for name, file in files.items() if file)
         if out is not None and _ranks.rank() == 0:
             save_reach(data, out)
+            for name in names:
+                try:
+                    calibrate_weights(out, data, recipe, [name])
+                except ValueError as error:  # it can be used all the same, told the target itself
+                    text += f"\n{name} is not calibrated: {error}"
     if _ranks.rank() == 0:
         print(text)
     _ranks.finish()

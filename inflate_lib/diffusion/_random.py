@@ -17,6 +17,12 @@ def random_generator(*key: int) -> torch.Generator:
     return torch.Generator().manual_seed(int(seed >> 1))
 
 
+def seed_for(seed: int, *names: str) -> int:
+    """A seed of its own for what the names stand for, a descriptor or a purpose: what has another shares no noise."""
+    key = seed, *"/".join(names).encode()
+    return int(np.random.SeedSequence(key).generate_state(1, np.uint64)[0] >> 1)
+
+
 def initialised(make: Callable[[], nn.Module], seed: int) -> nn.Module:
     """A network whose first weights follow from the seed."""
     with torch.random.fork_rng(devices=[]):

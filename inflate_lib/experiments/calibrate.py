@@ -1,22 +1,34 @@
-"""How a model answers: ask for descriptors of training structures, inflate what is drawn, fit a calibration."""
+"""How a model answers: ask for descriptors of training structures, inflate what is drawn, fit a calibration.
 
-from collections.abc import Mapping
+It is stored with the weights by :func:`calibrate_weights`, which ``inflate train --out`` calls for what it has trained.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from inflate_lib._cache import digest
 from inflate_lib.datasets.split import training_rows
-from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors import PHYSICAL, descriptor_matrix, get_descriptor, name_of
+from inflate_lib.diffusion import TrainedModel
+from inflate_lib.diffusion._random import seed_for
 from inflate_lib.experiments.run import run_experiment
 from inflate_lib.models.calibration import Calibration
+from inflate_lib.models.reach import SIZES, save_reach
+from inflate_lib.models.recipe import Recipe
+from inflate_lib.models.weights import Model
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from inflate_lib.models import Model
-
 _N_ASKED = 300  # structures drawn to fit g
+#: What a joint model is calibrated for.
+_COMBINATIONS = [name_of(parts) for k in (1, 2, 3) for parts in combinations(SIZES, k)] + ["axis", *PHYSICAL]
 
 
 def calibrate(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
@@ -26,14 +38,72 @@ def calibrate(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
 
 def calibrate_all(
     models: Mapping, data: "xr.Dataset", n: int = _N_ASKED, seed: int = 0, n_jobs: int = -1
-) -> "dict[str, Model]":
-    """The same models, name → :class:`inflate_lib.models.Model`, each calibrated; as they are where n is 0."""
-    if n == 0:
-        return dict(models)
+) -> dict[str, Model]:
+    """The same models, name → :class:`inflate_lib.models.Model`, each calibrated; as they are where n is 0.
+
+    A model that came with its calibration, see :func:`inflate_lib.models.trained_models`, keeps it: nothing is drawn.
+    """
     return {
         name: replace(model, calibrations={name: calibrate(model, data, n, seed, n_jobs=n_jobs)})
+        if n and name not in model.calibrations
+        else model
         for name, model in models.items()
     }
+
+
+def calibrate_weights(
+    folder: Path, data: "xr.Dataset", recipe: Recipe, names: Sequence[str] | None = None
+) -> dict[str, Model]:
+    """Measure how the models in a folder answer, and write what :func:`.weights.load_model` needs beside them.
+
+    Into the header of each file go the recipe's sampling and the calibrations for it, and ``reach.npz`` beside them
+    holds what the structures reach. The weights stay as they are. A joint model is calibrated for every combination of
+    height, width and area, and for the axis, stress and stretch alone, as far as it follows them.
+
+    Parameters
+    ----------
+    folder : path_like
+        With ``<descriptor>.safetensors`` files of one recipe, as ``inflate train --out`` leaves them.
+    data : xarray.Dataset
+        All simulated structures that the models were trained on.
+    recipe : inflate_lib.models.recipe.Recipe
+        Its sampling and seed, and its number of structures for :func:`calibrate`; 0 for none.
+    names : sequence of str, optional
+        Only these models; all in the folder by default.
+
+    Returns
+    -------
+    dict
+        Name of each model → :class:`inflate_lib.models.Model`, calibrated.
+
+    Raises
+    ------
+    ValueError
+        There are no weights in the folder, or they were trained on other data, or a model of a single descriptor
+        hardly follows it.
+    """
+    folder, models = Path(folder), {}
+    if names is None:
+        names = sorted(file.stem for file in folder.glob("*.safetensors"))
+    for file in (folder / f"{name}.safetensors" for name in names):
+        trained = TrainedModel.load(file)
+        if trained.metadata.get("data") != digest(data["image"].values, data["converged"].values):
+            raise ValueError(f"{file} was trained on other data: {trained.metadata.get('structures')} structures")
+        model, found = Model(file.stem, trained, recipe.sampling), {}
+        joint = get_descriptor(file.stem).any_part
+        for asked in _COMBINATIONS if joint else (file.stem,):
+            with suppress(ValueError) if joint else nullcontext():
+                if recipe.n_calibration:
+                    found[asked] = calibrate(model, data, recipe.n_calibration, recipe.seed, asked)
+        how = {"n": recipe.n_calibration, "seed": recipe.seed}
+        trained.metadata["sampling"] = dict(recipe.sampling)
+        trained.metadata["calibration"] = {asked: fit.as_dict() | how for asked, fit in found.items()}
+        trained.save(file, half=True)
+        models[file.stem] = replace(model, calibrations=found)
+    if not models:
+        raise ValueError(f"{folder} holds no weights (*.safetensors); inflate train --out {folder} puts them there")
+    save_reach(data, folder)
+    return models
 
 
 def answers(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
@@ -60,7 +130,7 @@ def answers(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
     descriptor = descriptor or model.name
     known = descriptor_matrix(data, descriptor)[training_rows(data)]
     targets = known[np.random.default_rng([seed, 5]).permutation(len(known))[:n]]
-    # Another seed than the experiment's: its noise must not be the noise that was calibrated on.
-    answer = run_experiment(model.sampled(), targets, 1, seed + 1_000_003, descriptor, n_jobs)
+    # No experiment's noise may be the noise that was calibrated on.
+    answer = run_experiment(model.sampled(), targets, 1, seed_for(seed, "calibration"), descriptor, n_jobs)
     valid = answer["valid"].values
     return targets[valid], descriptor_matrix(answer, descriptor)[valid]

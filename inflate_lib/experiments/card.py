@@ -1,30 +1,19 @@
 """Model cards: what the weights of a profile are, where they come from, and how far they can be trusted."""
 
 from collections.abc import Mapping
-from contextlib import nullcontext, suppress
-from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from inflate_lib._cache import digest
-from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, get_descriptor, name_of
-from inflate_lib.diffusion import TrainedModel
-from inflate_lib.experiments.calibrate import calibrate
-from inflate_lib.experiments.run import held_out_targets, run_experiment
+from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, get_descriptor
+from inflate_lib.experiments.calibrate import calibrate_weights
+from inflate_lib.experiments.run import run_held_out
 from inflate_lib.experiments.tables import score, scores, with_interval
-from inflate_lib.models.reach import SIZES, save_reach
 from inflate_lib.models.recipe import Recipe
-from inflate_lib.models.weights import Model
 
 if TYPE_CHECKING:
     import xarray as xr
-
-_SEED = 1  # of the choice of targets, and of the noise
-#: What a joint model is calibrated for.
-_COMBINATIONS = [name_of(parts) for k in (1, 2, 3) for parts in combinations(SIZES, k)] + ["axis", *PHYSICAL]
 
 _CARD = """# Weights of the profile `{profile}`
 
@@ -82,70 +71,19 @@ _MEASURES = {
 }
 
 
-def _calibrate_weights(folder, data, recipe: Recipe, seed=_SEED):
-    """Measure how the models in a folder answer, and write what :func:`.weights.load_model` needs beside them.
-
-    Into the header of each file go the recipe's sampling and the calibrations for it, and ``reach.npz`` beside them
-    holds what the structures reach. The weights stay as they are. A joint model is calibrated for every combination of
-    height, width and area, and for the axis, stress and stretch alone, as far as it follows them.
-
-    Parameters
-    ----------
-    folder : path_like
-        With ``<descriptor>.safetensors`` files of one recipe, as ``inflate train --out`` leaves them.
-    data : xarray.Dataset
-        All simulated structures that the models were trained on.
-    recipe : inflate_lib.models.recipe.Recipe
-        Its sampling, and its number of structures for :func:`inflate_lib.experiments.calibrate.calibrate`; 0 for none.
-    seed : int
-        Of the choice of structures, and of the noise.
-
-    Returns
-    -------
-    dict
-        Name of each model → :class:`inflate_lib.models.Model`, calibrated.
-
-    Raises
-    ------
-    ValueError
-        There are no weights in the folder, or they were trained on other data, or a model of a single descriptor
-        hardly follows it.
-    """
-    folder, models = Path(folder), {}
-    for file in sorted(folder.glob("*.safetensors")):
-        trained = TrainedModel.load(file)
-        if trained.metadata.get("data") != digest(data["image"].values, data["converged"].values):
-            raise ValueError(f"{file} was trained on other data: {trained.metadata.get('structures')} structures")
-        model, found = Model(file.stem, trained, recipe.sampling), {}
-        joint = get_descriptor(file.stem).any_part
-        for asked in _COMBINATIONS if joint else (file.stem,):
-            with suppress(ValueError) if joint else nullcontext():
-                if recipe.n_calibration:
-                    found[asked] = calibrate(model, data, recipe.n_calibration, seed, asked)
-        how = {"n": recipe.n_calibration, "seed": seed}
-        trained.metadata["sampling"] = dict(recipe.sampling)
-        trained.metadata["calibration"] = {asked: fit.as_dict() | how for asked, fit in found.items()}
-        trained.save(file, half=True)
-        models[file.stem] = replace(model, calibrations=found)
-    if not models:
-        raise ValueError(f"{folder} holds no weights (*.safetensors); inflate train --out {folder} puts them there")
-    save_reach(data, folder)
-    return models
-
-
-def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None = None, seed: int = _SEED) -> Path:
+def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None = None) -> Path:
     """Measure the models in a folder on held-out targets, and write the card, ``README.md``, beside them.
 
-    They are calibrated first, see :func:`_calibrate_weights`, whose parameters these are. The measured numbers also go
+    They are calibrated first, see :func:`.calibrate_weights`, whose parameters these are. The measured numbers also go
     into the header of each file, as ``metadata["metrics"]``. A joint model is asked for one descriptor after the other,
     and its metrics are those of each.
 
     Parameters
     ----------
-    folder, data, recipe, seed
-        See there; the seed is also that of the choice of targets.
+    folder, data, recipe
+        See there.
     n : int, optional
-        Number of held-out targets; all of them by default.
+        Number of held-out targets; all of them by default, see :func:`inflate_lib.experiments.run.run_held_out`.
 
     Returns
     -------
@@ -153,11 +91,11 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
         The card.
     """
     folder, training, accuracy = Path(folder), {}, {}
-    for name, model in _calibrate_weights(folder, data, recipe, seed).items():
+    for name, model in calibrate_weights(folder, data, recipe).items():
         metrics, trained, joint = {}, model.trained, get_descriptor(name).any_part
         for asked in (*DESCRIPTORS, *PHYSICAL) if joint else (name,):
-            targets, _ = held_out_targets(data, asked, model, n, seed)
-            table = scores(run_experiment(model, targets, 1, seed, asked), asked, data)
+            drawn = run_held_out(model, data, recipe.seed, asked, n=n)
+            table = scores(drawn, asked, data, seed=recipe.seed)
             rows = table.set_index("measure")[["value", "low", "high"]]
             known = [measure for measure in _MEASURES if measure in rows.index]
             title = f"{name}: {asked}" if joint else name

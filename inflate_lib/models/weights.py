@@ -14,6 +14,7 @@ from inflate_lib._checks import whole_number
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import columns, get_descriptor, joint_conditions, name_of
 from inflate_lib.diffusion import TrainedModel, generate
+from inflate_lib.diffusion._random import seed_for
 from inflate_lib.models import RETRAIN, reach
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import Recipe
@@ -64,7 +65,8 @@ class Model:
         n : int
             Structures for each target.
         seed : int
-            Structure i depends on the seed, on i and on its own target alone.
+            Structure i depends on the seed, on i and on its own target alone; a target of another descriptor has other
+            noise.
 
         Returns
         -------
@@ -86,10 +88,11 @@ class Model:
                 reach.check_reach({name: values[row] for name, values in wanted.items()}, self.reach)
             except ValueError as error:
                 raise ValueError(f"target {row}: {error}" if m > 1 else str(error)) from None
-        told = self.told(name_of(wanted), np.column_stack(list(wanted.values())))
+        name = name_of(wanted)
+        told = self.told(name, np.column_stack(list(wanted.values())))
         with warnings.catch_warnings():  # what a calibrated model is told may lie outside
             warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")
-            return generate(self.trained, np.repeat(told, n, axis=0), seed=seed, **self.sampling)
+            return generate(self.trained, np.repeat(told, n, axis=0), seed=seed_for(seed, name), **self.sampling)
 
     def told(self, descriptor: str, targets: np.ndarray) -> np.ndarray:
         """What the network is told, (m, ·), to get targets (m, N) of a descriptor."""
@@ -187,9 +190,9 @@ def load_model(name: str, profile: str = "laptop") -> Model:
         table = reach.load_reach(folder)
     else:  # nobody measured these weights yet
         table = reach.reach_of(simulated_sevens(trained.metadata.get("source", "auto")))
-    stored = trained.metadata.get("calibration", {})
-    calibrations = {asked: Calibration.from_dict(values) for asked, values in stored.items()}
-    return Model(name, trained, trained.metadata.get("sampling", {}), calibrations, table)
+    if "calibration" not in trained.metadata:
+        warnings.warn(f"{there[name]} is not calibrated: `inflate card --profile {profile}` does it", stacklevel=2)
+    return Model(name, trained, trained.metadata.get("sampling", {}), _calibrations(trained), table)
 
 
 def committed_weights(descriptor: str, recipe: Recipe, data: "xr.Dataset") -> tuple[Path | None, str]:
@@ -231,7 +234,8 @@ def trained_models(names: Sequence[str], recipe: Recipe, data: "xr.Dataset") -> 
     Returns
     -------
     dict
-        Name of the descriptor → :class:`Model`, which draws as the recipe says and is not calibrated.
+        Name of the descriptor → :class:`Model`, which draws as the recipe says. It is calibrated where its file holds
+        what the recipe asks for; the others are by :func:`inflate_lib.experiments.calibrate_all`.
     """
     found = {}
     for name in names if RETRAIN not in os.environ else ():
@@ -246,7 +250,21 @@ def trained_models(names: Sequence[str], recipe: Recipe, data: "xr.Dataset") -> 
         print(f"trained for this run: {', '.join(missing)}")
         found |= {name: path for name, path in train_models(missing, recipe, data).items() if path is not None}
     table = reach.reach_of(data)
-    return {name: Model(name, TrainedModel.load(found[name]), recipe.sampling, {}, table) for name in names}
+    models = {name: TrainedModel.load(found[name]) for name in names}
+    return {
+        name: Model(name, trained, recipe.sampling, _calibrations(trained, recipe), table)
+        for name, trained in models.items()
+    }
+
+
+def _calibrations(trained, recipe=None):
+    """The calibrations in the header of weights, without those of another sampling, n or seed than a recipe's."""
+    stored = trained.metadata.get("calibration", {})
+    if recipe is not None:
+        wanted = {"n": recipe.n_calibration, "seed": recipe.seed}
+        fits = trained.metadata.get("sampling") == dict(recipe.sampling)
+        stored = {asked: one for asked, one in stored.items() if fits and wanted.items() <= one.items()}
+    return {asked: Calibration.from_dict(values) for asked, values in stored.items()}
 
 
 def _name(path):

@@ -1,17 +1,24 @@
 """The model card states what was measured, and the files carry it."""
 
+import warnings
+
 import numpy as np
 import pytest
 
 from inflate_lib import load_model, paths
 from inflate_lib.datasets.simulate import simulated_sevens
+from inflate_lib.datasets.split import held_out
+from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel
-from inflate_lib.experiments import card
-from inflate_lib.experiments.card import _calibrate_weights, write_card
+from inflate_lib.experiments import calibrate
+from inflate_lib.experiments.calibrate import calibrate_weights
+from inflate_lib.experiments.card import write_card
+from inflate_lib.experiments.run import inside, run_experiment, run_held_out
+from inflate_lib.experiments.tables import scores, with_interval
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.train import train_models
-from inflate_lib.models.weights import Model
+from inflate_lib.models.weights import Model, trained_models
 
 TRAINING = {"channels": [4, 8], "embedding": 16, "objective": "v", "steps": 4, "batch_size": 8, "device": "cpu"}
 SAMPLING = {"sampler": "ddim", "steps": 2, "eta": 1.0, "guidance": 1.0}
@@ -47,6 +54,48 @@ def test_card_tells_data_recipe_cost_and_accuracy(folder, data):
     assert before.metadata.items() <= model.metadata.items()
 
 
+def test_the_card_states_what_the_chapters_compute(folder, data):
+    """One protocol: the card's numbers are those of `run_held_out` with the recipe's seed, to the last digit."""
+    text = write_card(folder, data, RECIPE).read_text(encoding="utf-8")
+    model = Model("height", TrainedModel.load(folder / "height.safetensors"), SAMPLING)
+    drawn = run_held_out(model, data, RECIPE.seed)
+    unseen = np.flatnonzero(data["converged"].values & held_out(data.sizes["structure"]))
+    known = descriptor_matrix(data, "height")[unseen]
+    known = known[inside(model.trained, "height", known)]
+    np.testing.assert_array_equal(np.sort(drawn["target"].values, axis=0), np.sort(known, axis=0))  # each of them, once
+    table = scores(drawn, "height", data, seed=RECIPE.seed).set_index("measure")
+    row = next(line for line in text.split("## Accuracy")[1].splitlines() if line.startswith("| height"))
+    assert f"| {with_interval(*table.loc['within 5 %', ['value', 'low', 'high']])} " in row
+    # Other noise than that of an experiment with the same seed.
+    plain = run_experiment(model, drawn["target"].values, 1, RECIPE.seed)
+    assert all((one != other).any() for one, other in zip(plain["image"].values, drawn["image"].values, strict=True))
+
+
+def test_stored_calibrations_are_used_and_nothing_is_drawn_again(folder, data, monkeypatch):
+    """What lies with the weights for this sampling, n and seed is taken; for another n or sampling it is not."""
+    fit = Calibration(np.array([0.9]), np.eye(1), np.array([0.02]), np.array([[1.25]]))
+    monkeypatch.setattr(calibrate, "calibrate", lambda *_: fit)
+    recipe = RECIPE.changed(n_calibration=4)
+    calibrate_weights(folder, data, recipe, ["height"])
+    assert "calibration" not in TrainedModel.load(folder / "axis.safetensors").metadata
+    monkeypatch.setattr(calibrate, "calibrate", lambda *_, **__: pytest.fail("it drew"))
+    monkeypatch.setattr(paths, "PRETRAINED", folder.parent)
+    found = calibrate.calibrate_all(trained_models(["height"], recipe, data), data, 4, recipe.seed)
+    assert found["height"].calibrations["height"].as_dict() == fit.as_dict()
+    for other in (recipe.changed(n_calibration=5), recipe.changed(sampling={"guidance": 2.0})):
+        assert not trained_models(["height"], other, data)["height"].calibrations
+
+
+def test_weights_without_a_calibration_say_what_to_do(folder, data, monkeypatch):
+    monkeypatch.setattr(paths, "PRETRAINED", folder.parent)
+    with pytest.warns(UserWarning, match="not calibrated: `inflate card --profile tiny`"):
+        assert not load_model("height", "tiny").calibrations
+    calibrate_weights(folder, data, RECIPE)  # a recipe that wants none
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_model("height", "tiny")
+
+
 def test_a_joint_model_is_measured_on_each_descriptor(data, tmp_path):
     model = TrainedModel.load(train_models(["joint"], RECIPE, data)["joint"])
     model.save(tmp_path / "joint.safetensors", half=True)
@@ -69,9 +118,9 @@ def test_a_model_comes_back_with_what_was_measured_of_it(folder, data, monkeypat
     """The calibrations in the header are those of the fit, and the weights are untouched."""
     before = (folder / "height.safetensors").read_bytes()
     fit = Calibration(np.array([0.9]), np.eye(1), np.array([0.02]), np.array([[1.25]]))
-    monkeypatch.setattr(card, "calibrate", lambda *_: fit)  # a network that learned for four steps does not listen
+    monkeypatch.setattr(calibrate, "calibrate", lambda *_: fit)  # a network that learned for four steps does not listen
     (folder / "axis.safetensors").unlink()
-    _calibrate_weights(folder, data, RECIPE.changed(n_calibration=4))
+    calibrate_weights(folder, data, RECIPE.changed(n_calibration=4))
     assert (folder / "height.safetensors").read_bytes() != before
     monkeypatch.setattr(paths, "PRETRAINED", folder.parent)
     model = load_model("height", "tiny")

@@ -1,4 +1,4 @@
-"""The linear answer of a model, measured and undone."""
+"""The answer of a model, measured and undone."""
 
 import numpy as np
 import pytest
@@ -51,6 +51,59 @@ def test_scatter_averages_out_of_the_fit():
     asked = rng.standard_normal((400, 1))
     calibration = Calibration.fit(asked, answers(asked, np.array([[0.8]]), 0.1, 0.5, rng))
     assert abs(calibration.slope[0, 0] - 0.8) < 5 * 0.5 / np.sqrt(400)
+
+
+def bent(x):
+    """An answer that exaggerates at both ends more than in the middle, rising everywhere."""
+    return x + 0.08 * x**3
+
+
+def test_an_answer_that_bends_is_undone_better_than_by_a_line():
+    """From what a few hundred targets gave: the ends, too, come out near what was asked for."""
+    rng = np.random.default_rng(4)
+    asked, ends = rng.standard_normal((300, 1)), np.array([[-1.8], [1.8]])
+    got = bent(asked) + 0.05 * rng.standard_normal((300, 1))
+    line, fit = Calibration.fit(asked, got, straight=True), Calibration.fit(asked, got)
+    missed = {name: np.abs(bent(one.told(ends)) - ends).max() for name, one in (("line", line), ("bent", fit))}
+    assert missed["bent"] < missed["line"] / 2
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(40, 120), k=st.integers(1, 2))
+@settings(max_examples=20, deadline=None)
+def test_every_target_has_one_answer_also_far_outside(seed, n, k):
+    """g is undone by its inverse everywhere, rises, and goes on straight beyond the data."""
+    rng = np.random.default_rng(seed)
+    asked = rng.standard_normal((n, k))
+    calibration = Calibration.fit(asked, bent(asked) + 0.1 * rng.standard_normal((n, k)))
+    far = np.linspace(-20, 20, 201)[:, None] * np.ones(k)
+    np.testing.assert_allclose(calibration.answer(calibration.told(far)), far, atol=1e-8)
+    np.testing.assert_allclose(calibration.told(calibration.answer(far)), far, atol=1e-8)
+    step = np.diff(calibration.told(far), axis=0)
+    assert k == 2 or (step > 0).all()
+    for end in (step[:10], step[-10:]):
+        np.testing.assert_allclose(end, end[:1].repeat(10, 0), atol=1e-9)
+
+
+def test_broken_drawings_do_not_pull_the_line():
+    """One drawing in twenty misses by a third, and all of them at one end: the line stays where it was."""
+    rng = np.random.default_rng(5)
+    asked = 1 + 0.1 * rng.standard_normal((300, 1))
+    got = 1.2 * asked - 0.2 + 0.02 * rng.standard_normal((300, 1))
+    tall, broken = np.array([[1.2]]), got.copy()
+    broken[np.argsort(asked[:, 0])[-15:]] -= 0.35
+    least_squares = np.polyval(np.polyfit(asked[:, 0], broken[:, 0], 1), tall)
+    truth, found = (Calibration.fit(asked, one, straight=True).answer(tall) for one in (got, broken))
+    assert abs(found - truth) < 0.25 * abs(least_squares - truth)
+
+
+def test_few_answers_and_old_headers_leave_it_straight():
+    rng = np.random.default_rng(6)
+    asked = rng.standard_normal((39, 1))
+    few = Calibration.fit(asked, bent(asked))
+    steps = np.diff(few.told(np.linspace(-3, 3, 7)[:, None]), axis=0)
+    np.testing.assert_allclose(steps, steps[:1].repeat(6, 0), rtol=1e-9)
+    old = {name: value for name, value in few.as_dict().items() if name != "bends"} | {"n": 39, "seed": 1}
+    np.testing.assert_array_equal(Calibration.from_dict(old).told(asked), few.told(asked))
 
 
 def test_a_model_that_does_not_listen_is_refused():

@@ -1,5 +1,7 @@
 """A model is asked for structures: each depends on the seed, on its number and on its own target alone."""
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,8 @@ from hypothesis import strategies as st
 
 from inflate_lib import load_model, paths, simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, get_descriptor
-from inflate_lib.diffusion import TrainedModel, TrainingConfig
+from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
+from inflate_lib.diffusion._random import seed_for
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.reach import load_reach, reach_of, save_reach
 from inflate_lib.models.weights import Model
@@ -66,6 +69,18 @@ def test_seeds_and_targets_make_a_difference(ask, reach):
     assert np.abs(one - ask["height"].draw({"height": heights[0]}, 2, 1)).max() > 0.1
     assert np.abs(one - ask["height"].draw({"height": heights[1]}, 2, 0)).max() > 1e-6
     assert np.abs(one[0] - one[1]).max() > 0.1
+
+
+def test_each_descriptor_has_noise_of_its_own(ask, reach):
+    """One network, told the same as a height, a width and an area, draws three structures; every model shares them."""
+    trained, value = ask["height"].trained, float(reach.height[0])
+    models = {name: Model(name, trained, FAST) for name in ("height", "width", "area")}
+    drawn = [model.draw({name: value}, 2, 0) for name, model in models.items()]
+    for some, others in itertools.combinations(drawn, 2):
+        assert min(np.abs(one - other).max() for one, other in itertools.product(some, others)) > 0.1
+    told = ask[JOINT].told("height", np.full((2, 1), value))
+    joint = generate(ask[JOINT].trained, told, seed_for(0, "height"), **FAST)
+    np.testing.assert_array_equal(ask[JOINT].draw({"height": value}, 2, 0), joint)
 
 
 def test_a_box_is_height_and_width(ask, reach):
