@@ -43,18 +43,12 @@ class Calibration:
     bends: np.ndarray = field(default_factory=lambda: np.array(_STRAIGHT))  # (k, 2, corners): x and b(x)
 
     @classmethod
-    def fit(cls, targets: np.ndarray, achieved: np.ndarray, straight: bool = False) -> "Calibration":
+    def fit(cls, targets: np.ndarray, achieved: np.ndarray) -> "Calibration":
         """Fit g to what was asked for and what was achieved, (n, N) each, all finite.
 
         Both fits are robust (Huber's): a broken drawing, which misses by a third, must not pull the line. Directions of
         little variance, in which a model may hardly follow at all, are left out one by one until g can be inverted
         safely.
-
-        Parameters
-        ----------
-        targets, achieved : (n, N) float
-        straight : bool
-            Leave out b, as for fewer than forty structures.
 
         Raises
         ------
@@ -76,8 +70,6 @@ class Calibration:
             offset, slope = coefficients[:, 0], coefficients[:, 1:]
             weakest = np.linalg.svd(slope, compute_uv=False).min()
             if weakest >= _LEAST_SLOPE:
-                if straight or len(asked) < _FEW:
-                    return cls(mean, chosen, offset, slope)
                 return cls(mean, chosen, offset, slope, _bends(offset + asked @ slope.T, got))
         raise ValueError(
             f"the model hardly follows its descriptor (slope {weakest:.2f} of achieved on wanted): train it longer, "
@@ -122,7 +114,7 @@ def _bends(straight, got):
     found = []
     for x, y in zip(straight.T, got.T, strict=True):
         corners = np.unique(np.quantile(x, _CORNERS))
-        if len(corners) < len(_CORNERS):  # too few different targets
+        if len(x) < _FEW or len(corners) < len(_CORNERS):
             return np.array(_STRAIGHT)
         pieces = [np.clip(x, *ends) - ends[0] for ends in itertools.pairwise(corners)]  # how far x has gone in each
         slopes = _robust(np.column_stack([np.ones(len(x)), *pieces]), y, _LEAST_SLOPE, 1 / _LEAST_SLOPE)
