@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from inflate_lib.experiments.calibrate import calibrate_all
     from inflate_lib.experiments.card import write_card
     from inflate_lib.experiments.metrics import bootstrap, errors, r_squared
-    from inflate_lib.experiments.run import held_out_targets, judge, run_experiment
+    from inflate_lib.experiments.run import held_out_targets, judge, run_experiment, run_held_out
     from inflate_lib.experiments.tables import accuracy, failure_reasons, flaws, scores
     from inflate_lib.experiments.targets import choose_axes, compare_with_paper, find_clusters
     from inflate_lib.experiments.variety import diversity, novelty
@@ -29,6 +29,7 @@ __all__ = [
     "novelty",
     "r_squared",
     "run_experiment",
+    "run_held_out",
     "scores",
     "write_card",
 ]
