@@ -17,7 +17,7 @@ def design(
     width: Annotated[float | None, typer.Option(help="Width of the inflated structure.")] = None,
     area: Annotated[float | None, typer.Option(help="Area of its convex hull.")] = None,
     stress: Annotated[
-        float | None, typer.Option(help="Peak von Mises stress, in the units of λ and μ (16.44 and 0.1644).")
+        float | None, typer.Option(help="Peak von Mises stress, where μ is 0.1644: 0.2 is σ/μ = 1.22.")
     ] = None,
     stretch: Annotated[float | None, typer.Option(help="Largest principal stretch.")] = None,
     axis: Annotated[Path | None, typer.Option(help="Medial axis: CSV, x,y per line from bottom to top.")] = None,

@@ -75,7 +75,7 @@ def compare_with_paper(centroids: Mapping) -> pd.DataFrame:
 
 
 def deviation_from_paper(centroids):
-    """Mean and largest relative deviation of the fifteen centroids from the paper's, in percent."""
+    """Mean and largest relative deviation of the twelve centroids' fifteen numbers from the paper's, in percent."""
     deviation = compare_with_paper(centroids).deviation_percent.abs()
     return float(deviation.mean()), float(deviation.max())
 

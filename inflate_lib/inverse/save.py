@@ -342,6 +342,7 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
         "errors": one.deviations,
         "within_tolerance": bool(one.within),
         "peak_von_mises_stress": one.shape.peak_stress,
+        "peak_von_mises_stress_over_mu": one.shape.peak_stress / one.result.lame[1],
         "largest_principal_stretch": one.shape.peak_stretch,
         "candidate": one.candidate,
         "origin": one.origin,

@@ -111,15 +111,17 @@ class Designs:
         return len(self.pool)
 
     def table(self) -> pd.DataFrame:
-        """A row per design: errors in percent, descriptors, peaks."""
+        """A row per design: errors in percent, descriptors, peaks; the stress as a target, and over μ."""
         rows = []
         for number, one in enumerate(self.designs, start=1):
             row = {"design": number, "within": one.within}
             row |= {f"error {name} (%)": 100 * value for name, value in one.deviations.items()}
             row |= {"height": one.shape.height, "width": one.shape.width, "area": one.shape.hull_area}
-            rows.append(row | {"peak stress": one.shape.peak_stress, "peak stretch": one.shape.peak_stretch})
+            stress = one.shape.peak_stress
+            row |= {"peak stress": stress, "peak σ/μ": stress / one.result.lame[1]}
+            rows.append(row | {"peak stretch": one.shape.peak_stretch})
         names = [f"error {name} (%)" for name in self.targets.asked]
-        columns = ["design", "within", *names, "height", "width", "area", "peak stress", "peak stretch"]
+        columns = ["design", "within", *names, "height", "width", "area", "peak stress", "peak σ/μ", "peak stretch"]
         return pd.DataFrame(rows, columns=columns)
 
     def summary(self) -> str:

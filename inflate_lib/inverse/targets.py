@@ -31,8 +31,8 @@ class Targets:
     height, width, area : float, optional
         Area is that of the convex hull. In lengths and areas of the unit square.
     stress, stretch : float, optional
-        Peak von Mises stress, in the units of λ and μ, and largest principal stretch, at least 1, as in
-        :func:`inflate_lib.mechanics.stress.peaks`.
+        Peak von Mises stress, in the unit in which μ is 0.1644 (μ times σ/μ), and largest principal stretch, at least
+        1, as in :func:`inflate_lib.mechanics.stress.peaks`.
     axis : (30, 2) float, optional
         Medial axis, the first point at the origin.
     outline : (k, 2) float, optional

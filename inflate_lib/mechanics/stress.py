@@ -51,6 +51,11 @@ def von_mises(result: "Inflation") -> np.ndarray:
     return (result.lame[1] / (result.stretch_across * area_ratio(result)) * np.sqrt(squares)).mean(-1)
 
 
+def von_mises_over_mu(result: "Inflation") -> np.ndarray:
+    """(steps, m) σ/μ, the von Mises stress of each element in shear moduli: what does not depend on the unit."""
+    return von_mises(result) / result.lame[1]
+
+
 def largest_stretch(result: "Inflation") -> np.ndarray:
     """(steps, m) largest principal stretch in the plane of each element, the mean over its Gauss points."""
     F = result.deformation_gradient
@@ -86,6 +91,6 @@ def area_ratio(result):
 
 #: What a picture can be coloured by: the function of ``stress``, the label of its colour bar, the value at rest.
 QUANTITIES = {
-    "von-mises": ("von_mises", "von Mises stress", 0.0),
+    "von-mises": ("von_mises_over_mu", "von Mises stress σ/μ", 0.0),
     "stretch": ("largest_stretch", "largest stretch", 1.0),
 }

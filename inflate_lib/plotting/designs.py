@@ -58,7 +58,7 @@ def plot_designs(designs, columns=6, colour=None):
         below.set(xlim=(middle - wide / 2, middle + wide / 2), ylim=(bottom, tall))
         misses = [f"{get_descriptor(name).symbol} {100 * value:.2f} %" for name, value in one.deviations.items()]
         lines = [", ".join(misses[start : start + 2]) for start in range(0, len(misses), 2)]
-        below.set_xlabel("\n".join([*lines, f"stress {one.shape.peak_stress:.3f}"]), fontsize=7)
+        below.set_xlabel("\n".join([*lines, f"σ/μ {one.shape.peak_stress / one.result.lame[1]:.2f}"]), fontsize=7)
     if colour:
         fig.colorbar(ScalarMappable(norm, STRETCH_MAP), ax=axes[1::2], label=label, shrink=0.8, aspect=20)
     return fig

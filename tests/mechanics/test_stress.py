@@ -7,7 +7,7 @@ from mechanics_peers import hook
 from inflate_lib import describe, inflate
 from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, Inflation
 from inflate_lib.mechanics.mesh import Mesh
-from inflate_lib.mechanics.stress import peaks, von_mises
+from inflate_lib.mechanics.stress import peaks, von_mises, von_mises_over_mu
 
 
 def stretched(*gradients, lame=(LAMBDA, MU)):
@@ -44,6 +44,14 @@ def test_a_stiffer_rubber_at_a_higher_pressure_is_stretched_alike_and_stressed_m
     assert stiff.peak_stress == pytest.approx(4 * soft.peak_stress, rel=1e-9)
     assert stiff.peak_stretch == pytest.approx(soft.peak_stretch, rel=1e-9) and soft.peak_stretch > 1.05
     assert stiff.height == pytest.approx(soft.height, rel=1e-9)
+
+
+def test_stress_over_the_shear_modulus_knows_no_unit():
+    """Pascal or the paper's unit: σ/μ, which pictures and tables show, is the same."""
+    ours = inflate(hook(), 1)
+    pascal = inflate(hook(), 1, pressure=1e5 * PRESSURE, lame=(1e5 * LAMBDA, 1e5 * MU))
+    assert np.allclose(von_mises_over_mu(pascal), von_mises_over_mu(ours), rtol=1e-9)
+    assert von_mises_over_mu(ours).max() == pytest.approx(peaks(ours)[0] / MU)
 
 
 def test_a_mirrored_structure_has_the_same_peaks():
