@@ -1,9 +1,9 @@
-"""From one drawing to a verified structure: label, constraints, inflation; and how a near miss is brought nearer.
+"""From one drawing to a verified structure: label, constraints, inflation, flaws; and how misses are brought nearer.
 
 A structure is made of pixels, and one pixel of its cavity more or less changes its descriptors by a tenth of a percent
 or so. An inflation takes milliseconds, drawing a candidate ten times as long. So a near miss is worth some tries: a
 pixel at the border of the cavity is flipped, the structure labelled and inflated again, and the change kept if the
-largest error has become smaller. Which pixel to try first is what the adjoint says
+largest error has become smaller and the structure can still be built. Which pixel to try first is what the adjoint says
 (:mod:`inflate_lib.mechanics.adjoint`).
 """
 
@@ -18,7 +18,7 @@ from inflate_lib.descriptors import describe
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.targets import deviations
 from inflate_lib.mechanics.adjoint import DIFFERENTIABLE, flip_changes, sensitivities
-from inflate_lib.mechanics.contact import first_contact
+from inflate_lib.mechanics.buildable import Flaw, find_flaw
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, label_image
 
@@ -28,11 +28,8 @@ _LESS = 1e-3  # relative decrease of the largest error that a change must bring
 
 
 class Rejection(StrEnum):
-    """Why a drawing is no candidate for a design."""
+    """Why a drawing of a structure that could be built is no candidate for a design."""
 
-    NO_STRUCTURE = "The drawing holds no structure."
-    NO_EQUILIBRIUM = "No equilibrium was found at one of the load steps."
-    CROSSING_WALLS = "The walls cross when the structure is inflated."
     MAX_MATERIAL = "The wall takes more material than was allowed."
     MIN_VOID = "The cavity is narrower than was demanded."
     SYMMETRIC = "The structure is not its own mirror image."
@@ -45,8 +42,9 @@ def attempt(image, constraints):
 
     Returns
     -------
-    reason : Rejection or None
-        Why it is rejected; None where it is not.
+    reason : Flaw, Rejection or None
+        Why it is rejected, the first reason found: a constraint, a flaw, the region to keep out of; None where it is
+        not, and then the structure can be built (:mod:`inflate_lib.mechanics.buildable`).
     label : (28, 28) float or None
     result : Inflation or None
     """
@@ -57,11 +55,9 @@ def attempt(image, constraints):
             return Rejection[broken.upper()], label, None
         result = inflate(label, time_limit=TIME_LIMIT[0])
     except ValueError:
-        return Rejection.NO_STRUCTURE, None, None
-    if not result.converged:
-        return Rejection.NO_EQUILIBRIUM, label, None
-    if first_contact(result) is not None:
-        return Rejection.CROSSING_WALLS, label, None
+        return Flaw.NO_STRUCTURE, None, None
+    if flaw := find_flaw(result):
+        return flaw, label, None
     if constraints.keep_out is not None:
         shift = _free_place(label, result, constraints)
         if shift is None:
@@ -69,7 +65,7 @@ def attempt(image, constraints):
         if shift:
             label = np.roll(label, shift, axis=1)
             result = inflate(label, time_limit=TIME_LIMIT[0])
-            if not result.converged or constraints.broken_by(label) or constraints.broken_when_inflated(result):
+            if find_flaw(result) or constraints.broken_by(label) or constraints.broken_when_inflated(result):
                 return Rejection.KEEP_OUT, label, None
     return None, label, result
 
@@ -91,7 +87,7 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
     ----------
     label : (28, 28) float
     result : Inflation
-        Of that structure.
+        Of that structure, which can be built; what comes of it can be, too.
     targets : Targets
     constraints : Constraints
         Which it fulfils, and every step on the way.

@@ -111,7 +111,7 @@ def write_designs(designs: "Designs", folder: Path, size_mm: float = SIZE_MM, de
 
     check_sizes(size_mm=size_mm, depth_mm=depth_mm)
     if not designs.designs:
-        raise ValueError("there is no design to write: no candidate was a structure")
+        raise ValueError("there is no design to write: no candidate was a structure that can be built")
     ours, digests = _ours(folder), {}
     earlier = [Path(name) for name in _listed(folder) if ours(folder / name)]
     try:

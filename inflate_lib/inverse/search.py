@@ -1,9 +1,9 @@
 """Inverse design: targets and constraints in; several different structures, each verified by inflating it, out.
 
-A model draws candidates in batches. Every one is labelled, inflated and described like the training data; what a
-constraint forbids is rejected and counted; near misses are refined pixel by pixel; what is within the tolerance of all
-targets is kept, until there are enough to choose from or the time or the candidates are used up. From those a diverse
-set is chosen.
+A model draws candidates in batches. Every one is labelled, inflated and described like the training data; what cannot
+be built or a constraint forbids is rejected and counted; near misses are refined pixel by pixel; what is within the
+tolerance of all targets is kept, until there are enough to choose from or the time or the candidates are used up. From
+those a diverse set is chosen.
 """
 
 import time
@@ -101,7 +101,7 @@ class Designs:
     sampling: dict
     tried: int = 0
     refined: int = 0  # misses that came within the tolerance by flipping pixels
-    rejected: Counter = field(default_factory=Counter)  # Rejection → drawings
+    rejected: Counter = field(default_factory=Counter)  # Flaw or Rejection → drawings
     seconds: dict = field(default_factory=dict)  # generating, inflating, all
     stopped: Stop | None = None  # None while it goes on
 
@@ -136,7 +136,7 @@ class Designs:
         if self.refined:
             lines.append(f"{self.refined} of the {self.within} were near misses, refined pixel by pixel.")
         if self.rejected:
-            lines.append("Drawings were rejected:")
+            lines.append("All of these can be built. Drawings were rejected:")
             lines += [f"{n:6d}  {reason}" for reason, n in self.rejected.most_common()]
         if self.designs:
             middle = np.median([one.error for one in self.designs])
@@ -198,7 +198,8 @@ def design(
     -------
     Designs
         Ordered by their largest error; with `prefer`, by stress. Where fewer than `n` are within the tolerance, the
-        nearest misses fill up, marked by ``within = False``. It may be empty, where no candidate is a structure.
+        nearest misses fill up, marked by ``within = False``. All of them, and all in the pool, can be built
+        (:mod:`inflate_lib.mechanics.buildable`). It may be empty, where no candidate can.
 
     Raises
     ------

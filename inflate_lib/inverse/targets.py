@@ -285,4 +285,4 @@ def _crosses_itself(points):
     numbers = np.arange(len(points))
     if len(np.unique(points, axis=0)) < len(points):
         return True
-    return first_crossing(points, np.zeros((1, *points.shape)), np.column_stack([numbers, np.roll(numbers, -1)])) >= 0
+    return first_crossing(points[None], np.column_stack([numbers, np.roll(numbers, -1)])) == 0

@@ -52,7 +52,7 @@ def find_flaw(result: "Inflation") -> Flaw | None:
     edges = boundary_edges(result.cells)
     if np.bincount(edges.ravel()).max() > 2:  # the border passes through a node twice
         return Flaw.POINT_JOINT
-    if first_crossing(result.nodes, result.displacement, edges) >= 0:
+    if first_crossing(result.nodes + result.displacement, edges) >= 0:
         return Flaw.CROSSING_WALLS
     return None
 

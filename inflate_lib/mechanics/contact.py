@@ -42,7 +42,7 @@ def first_contact(result: "Inflation") -> int | None:
 
     Every load step is looked at, since walls may cross and part again, and none of the states between two of them.
     """
-    step = first_crossing(result.nodes, result.displacement, boundary_edges(result.cells))
+    step = first_crossing(result.nodes + result.displacement, boundary_edges(result.cells))
     return None if step < 0 else step
 
 
@@ -56,11 +56,11 @@ def crossing_edges(result, step=-1):
 
 
 @njit(cache=True, nogil=True)
-def first_crossing(nodes, displacement, edges):
-    """Index of the first load step at which edges cross; -1 for none."""
+def first_crossing(positions, edges):
+    """Index of the first of several states, positions (states, n, 2), in which edges (k, 2) cross; -1 for none."""
     order, none = np.arange(len(edges)), np.empty((0, 2), dtype=np.int64)
-    for step in range(len(displacement)):
-        if _find_crossings(nodes + displacement[step], edges, none, order):
+    for step in range(len(positions)):
+        if _find_crossings(positions[step], edges, none, order):
             return step
     return -1
 

@@ -38,6 +38,7 @@ from inflate_lib.inverse.search import Design, Designs, Stop
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.io.pictures import read_images
 from inflate_lib.io.vtk import write_vtk
+from inflate_lib.mechanics import Flaw
 from inflate_lib.structures.labels import FRAME, VOID, WALL
 from inflate_lib.structures.sources import load_sevens
 
@@ -86,7 +87,7 @@ def designs():
         model,
         {"sampler": "ddim"},
         tried=9,
-        rejected=Counter({Rejection.NO_STRUCTURE: 2, Rejection.KEEP_OUT: 3}),
+        rejected=Counter({Flaw.NO_STRUCTURE: 2, Rejection.KEEP_OUT: 3}),
         stopped=Stop.CANDIDATES,
     )
 
@@ -191,7 +192,7 @@ def test_every_file_is_read_by_others(designs, tmp_path):
         assert record["search"]["stopped"]["reason"] == "candidates"
         assert [entry["drawings"] for entry in record["search"]["rejected"]] == [3, 2]
         assert record["search"]["rejected"][1] == {
-            "reason": "no_structure", "sentence": "The drawing holds no structure.", "drawings": 2
+            "reason": "no_structure", "sentence": "The image holds no structure.", "drawings": 2
         }  # fmt: skip
     record = json.loads((tmp_path / "out" / "designs.json").read_text())
     assert record.pop("files") == digests(tmp_path / "out")
