@@ -35,7 +35,7 @@ def simulate_setting(images, setting, n_jobs=1):
     """Height, width and hull area at full pressure, (n, 3), of images simulated with a `_Setting`.
 
     One load step, since the end does not depend on their number. NaN where an image gives no structure (an unpadded
-    wall may be open) or no equilibrium was found.
+    cavity may be open, see :func:`inflate_lib.structures.is_open`) or no equilibrium was found.
     """
     return np.array(Parallel(n_jobs=n_jobs, batch_size=16)(delayed(_sizes)(image, setting) for image in images))
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import ndimage
 
 from inflate_lib._checks import whole_number
-from inflate_lib.structures.labels import OUTSIDE, VOID, WALL, turns_to_bottom
+from inflate_lib.structures.labels import OUTSIDE, VOID, WALL, is_open, turns_to_bottom
 
 
 @dataclass(frozen=True)
@@ -126,10 +126,7 @@ def _check_label(label, clamped="bottom"):
     pieces = ndimage.label(wall)[1]  # connected by edges: two pixels that share a corner only would make a hinge
     if pieces > 1:
         raise ValueError(f"label: the wall falls into {pieces} pieces that share no edge")
-    beyond = (1, 0), (1, 1)  # beyond three edges is the outside; behind the clamped one, turned down, is the ground
-    outside = np.pad(np.rot90(label == OUTSIDE, turns), beyond, constant_values=True)
-    inside = np.pad(np.rot90(void, turns), beyond)
-    if np.any(outside & ndimage.binary_dilation(inside)):  # grown by one pixel across edges, not across corners
+    if is_open(label, clamped):
         raise ValueError("label: the cavity is open, because a void pixel (1) touches the outside (0) or the frame")
     return label
 

@@ -6,7 +6,7 @@ from inflate_lib._lazy import attach
 
 if TYPE_CHECKING:
     from inflate_lib.structures.augmentation import apply_variants, augment, augment_descriptors
-    from inflate_lib.structures.labels import label_image, point_joints, stages
+    from inflate_lib.structures.labels import is_open, label_image, point_joints, stages
     from inflate_lib.structures.sources import Sevens, load_sevens, resolve_source
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "apply_variants",
     "augment",
     "augment_descriptors",
+    "is_open",
     "label_image",
     "load_sevens",
     "point_joints",

@@ -57,7 +57,8 @@ def label_image(
         Thickness of the wall in pixels.
     pad : bool
         Let the wall grow beyond the frame before the structure is moved into it. ``False`` cuts the wall off at the
-        border instead, which opens some structures; it is there to study the difference.
+        border instead. A cavity that reaches the border is then closed by the ground, if that is the clamped edge,
+        and open elsewhere (:func:`is_open`); it is there to study the difference.
     clamped : {"bottom", "left", "top", "right"}
         Edge of the frame that the structure is moved to.
 
@@ -171,6 +172,28 @@ def _into_frame(composite, margin):
     shifted = np.zeros_like(composite)
     shifted[rows + down, columns + right] = composite[rows, columns]
     return shifted
+
+
+def is_open(label: np.ndarray, clamped: str = "bottom") -> bool:
+    """Whether the cavity of a structure leads out: void and outside share the side of a pixel.
+
+    Beyond three edges of the frame is the outside. Behind the clamped one is the ground, which closes a cavity that
+    reaches it. Void and outside that share a corner only lie on either side of a joint of one node (see
+    :func:`point_joints`), which is closed.
+
+    Parameters
+    ----------
+    label : (s, s) array_like
+        Labels 0 (outside), 0.5 (wall), 1 (void).
+    clamped : {"bottom", "left", "top", "right"}
+        Edge of the frame that the structure is clamped at.
+    """
+    standing = np.rot90(np.asarray(label), turns_to_bottom(clamped))
+    outside = np.pad(standing == OUTSIDE, ((1, 0), (1, 1)), constant_values=True)
+    void = np.pad(standing == VOID, ((1, 0), (1, 1)))
+    beside = (void[1:] & outside[:-1]) | (void[:-1] & outside[1:])
+    across = (void[:, 1:] & outside[:, :-1]) | (void[:, :-1] & outside[:, 1:])
+    return bool(beside.any() or across.any())
 
 
 def point_joints(label: np.ndarray) -> int:
