@@ -23,7 +23,7 @@ from inflate_lib._cache import cached, code_version, digest, step_version
 from inflate_lib.alternatives.steering import run_steered, steer
 from inflate_lib.alternatives.surrogate import train_surrogate
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.descriptors import describe, descriptor_matrix
+from inflate_lib.descriptors import describe, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.calibrate import calibrate
 from inflate_lib.experiments.metrics import bootstrap, misses, r_squared
@@ -187,7 +187,7 @@ class Study:
             found, flips = [], 0
             for label in answer["label"].values[answer["valid"].values][:n].astype(float):
                 result, pairs = inflate(label), []
-                estimate = flip_changes(label, sensitivities(result, DESCRIPTOR))
+                estimate = flip_changes(label, sensitivities(result, get_descriptor(DESCRIPTOR).gradient))
                 for row, column in border(label):
                     reason, _, flipped = attempt(with_flipped(label, row, column), Constraints())
                     if not reason:

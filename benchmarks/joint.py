@@ -25,7 +25,8 @@ from inflate_lib.alternatives.ablation import evaluate_variant
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors import DESCRIPTORS, JOINT, PARTS, PHYSICAL, columns, descriptor_matrix, get_descriptor
+from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
+from inflate_lib.descriptors.registry import JOINT, PARTS, PHYSICAL, columns
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.experiments.run import held_out_targets, judge, model_digest

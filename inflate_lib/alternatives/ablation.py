@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
 _N_CALIBRATION = 150  # structures drawn to calibrate a model
 _FAST = (10, 20, 50)  # steps of the fast samplers
-SIZES = (600, 2000)  # structures, besides all
+_STRUCTURES = (600, 2000)  # structures, besides all
 MEASURES = ("R²", "median error", "valid")
 _PAPER = {
     "objective": "epsilon",
@@ -73,7 +73,7 @@ def training_variants(training: Mapping) -> dict:
     changes["network", "attention at 7 × 7"] = {"attention": True}
     changes["network", "two residual blocks per scale"] = {"blocks": 2}
     variants = {names: ({**training, **change}, None) for names, change in changes.items()}
-    for n in SIZES:
+    for n in _STRUCTURES:
         variants["data", f"{n} structures"] = (training, n)
     return variants
 

@@ -11,12 +11,12 @@ import torch
 from torch import Tensor, nn
 
 from inflate_lib._cache import cached, digest, step_version
+from inflate_lib.alternatives._training import train_once
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors import added_version, descriptor_matrix
-from inflate_lib.diffusion import _storage
-from inflate_lib.diffusion._loop import fit
-from inflate_lib.diffusion._random import initialised, random_generator, seed_for
+from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.descriptors.registry import added_version
+from inflate_lib.diffusion.randomness import initialised, random_generator, seed_for
 from inflate_lib.experiments.run import check_targets, judge
 from inflate_lib.models.calibration import Calibration
 
@@ -129,33 +129,18 @@ def train_autoencoder(pairs: "TrainingSet", like: "TrainedModel") -> _TrainedAut
     width = _nearest_width(conditions.shape[1], like.net.n_parameters)
     net = initialised(lambda: Autoencoder(conditions.shape[1], width), seed)
     trained = _TrainedAutoencoder(net, low, high, steps * batch_size, 0.0)
+    x, y = torch.from_numpy(images).float() / 255, trained.scaled(conditions)
 
-    def make(target, scratch):
-        x, y = torch.from_numpy(images).float() / 255, trained.scaled(conditions)
+    def loss(rows, generator):
+        mean, log_variance = net.encode(x[rows], y[rows])
+        z = mean + (log_variance / 2).exp() * torch.randn(mean.shape, generator=generator)
+        told = _KL_WEIGHT * _kl_to_standard_normal(mean, log_variance)
+        return (_reconstruction_nll(x[rows], net.decode(z, y[rows])) + told).mean() / x[0].numel()
 
-        def loss(rows, generator):
-            mean, log_variance = net.encode(x[rows], y[rows])
-            z = mean + (log_variance / 2).exp() * torch.randn(mean.shape, generator=generator)
-            told = _KL_WEIGHT * _kl_to_standard_normal(mean, log_variance)
-            return (_reconstruction_nll(x[rows], net.decode(z, y[rows])) + told).mean() / x[0].numel()
-
-        what = f"training the autoencoder ({pairs.descriptor})"
-        history, seconds = fit(net, loss, len(x), steps, batch_size, 2e-3, seed, scratch, what)
-        _storage.write(target, "autoencoder", net.state_dict(), {"history": history, "seconds": seconds})
-
-    key = {
-        "pairs": digest(images, conditions),
-        "width": width,
-        "steps": steps,
-        "batch_size": batch_size,
-        "seed": seed,
-        "code": step_version("alternative"),
-    }
-    path = cached("autoencoder", key, make, ".safetensors")
-    tensors, content = _storage.read(path, "autoencoder")
-    _storage.fill(net.state_dict(), tensors, path)
-    net.eval()
-    trained.seconds = content["seconds"]
+    options = {"steps": steps, "batch_size": batch_size, "seed": seed}
+    key = {"pairs": digest(images, conditions), "width": width}
+    what = f"training the autoencoder ({pairs.descriptor})"
+    trained.seconds = train_once("autoencoder", net, loss, len(x), options, key, what)
     return trained
 
 

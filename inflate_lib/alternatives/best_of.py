@@ -145,7 +145,7 @@ def seconds_per_structure(model, trained, targets, seed=0):
                 elif name == "simulate":
                     simulate_dataset(images, n_jobs=1, progress_text=False)
                 else:
-                    trained.predict(images, "height")
+                    trained.predict(images, model.name)
                 found[name] = (time.process_time() - start) / len(targets)
         finally:
             torch.set_num_threads(threads)

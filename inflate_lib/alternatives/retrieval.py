@@ -9,7 +9,7 @@ from sklearn.neighbors import NearestNeighbors
 
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
-from inflate_lib.diffusion._random import seed_for
+from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.experiments.run import as_experiment
 
 if TYPE_CHECKING:

@@ -19,12 +19,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from inflate_lib import descriptors
 from inflate_lib._cache import cached, digest, step_version
-from inflate_lib.alternatives import surrogate
 from inflate_lib.datasets.storage import load_dataset, save_dataset
+from inflate_lib.descriptors.registry import added_version
 from inflate_lib.diffusion import process
-from inflate_lib.diffusion._random import seed_for
+from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.diffusion.sampling import denoise, guided, noise_images
 from inflate_lib.diffusion.schedule import at
 from inflate_lib.experiments.run import check_targets, judge, model_digest
@@ -57,7 +56,7 @@ def _soft_label(images: Tensor) -> Tensor:
     return label[torch.arange(len(label))[:, None, None], row[:, :, None], column[:, None, :]]
 
 
-def _correction(x0: Tensor, wanted: Tensor, trained: surrogate.Surrogate, columns: np.ndarray) -> Tensor:
+def _correction(x0: Tensor, wanted: Tensor, trained: "Surrogate", columns: np.ndarray) -> Tensor:
     """What to add to clean images (n, 1, 28, 28) in [−1, 1] so that the surrogate expects ``wanted`` (n, N) of them.
 
     ``wanted`` is on the surrogate's own scale: mean 0, standard deviation 1.
@@ -86,7 +85,7 @@ def steer(
     Parameters
     ----------
     model : inflate_lib.models.Model
-        Of one of the paper's descriptors; of its sampling, the sampler is not looked at.
+        Of a descriptor that the surrogate answers with; of its sampling, the sampler is not looked at.
     told, wanted : (m, N) array_like
         What the model is told, and what the surrogate compares with; they differ where the model is calibrated.
     trained : Surrogate
@@ -99,7 +98,7 @@ def steer(
     -------
     array, shape (m, 28, 28), float32 in [0, 1]
     """
-    columns, network = descriptors.columns(model.name, surrogate.ANSWERS), model.trained
+    columns, network = trained.columns(model.name), model.trained
     options = {"steps": 20, "eta": 1.0, "guidance": 1.0, **model.sampling}
     y = torch.from_numpy(network.scaled(np.asarray(told, dtype=float))).float()
     scaled = (np.asarray(wanted, dtype=float) - trained.mean[columns]) / trained.scale[columns]
@@ -147,6 +146,6 @@ def run_steered(model, targets, trained, strength, n_per_target, seed, n_jobs=-1
         "n_per_target": n_per_target,
         "sampling": model.sampling,
         "seed": seed,
-        "code": step_version("alternative") + descriptors.added_version(),
+        "code": step_version("alternative") + added_version(),
     }
     return load_dataset(cached("experiment", key, make, ".nc"))

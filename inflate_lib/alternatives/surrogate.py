@@ -12,20 +12,18 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._cache import digest
+from inflate_lib.alternatives._training import train_once
 from inflate_lib.datasets.split import training_rows
-from inflate_lib.descriptors import columns, descriptor_matrix, get_descriptor
-from inflate_lib.diffusion import _storage
-from inflate_lib.diffusion._loop import fit
-from inflate_lib.diffusion._random import initialised
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.descriptors.registry import basic, columns, name_of
+from inflate_lib.diffusion.randomness import initialised
 from inflate_lib.structures.labels import FRAME, label_image
 
 if TYPE_CHECKING:
     import xarray as xr
 
 CHANNELS, HIDDEN, BATCH = (8, 16, 32), 128, 64
-#: Descriptors that it answers with, one after another.
-ANSWERS = ("height", "width", "area", "axis")
 
 
 class Network(nn.Module):
@@ -49,30 +47,42 @@ class Network(nn.Module):
 
 @dataclass
 class Surrogate:
-    """A trained network, with the mean and the scale (63,) of what it answers, and the seconds that training took."""
+    """A trained network, with the mean and the scale (N,) of what it answers, and the seconds that training took.
+
+    `answers` are the descriptors that it answers with, as one: "height+width+area+axis".
+    """
 
     net: Network
+    answers: str
     mean: np.ndarray
     scale: np.ndarray
     seconds: float
 
+    def columns(self, descriptor):
+        """Where the components of a descriptor stand among its answers."""
+        parts = get_descriptor(self.answers).parts
+        if not set(get_descriptor(descriptor).parts) <= set(parts):
+            raise ValueError(f"the surrogate answers with {', '.join(parts)}, not {descriptor}")
+        return columns(descriptor, parts)
+
     def predict(self, images, descriptor):
         """Descriptors, (n, N), of the structures in images (n, 28, 28); NaN where an image gives no structure."""
         labels, usable = _labels(images)
-        return self.predict_labels(labels, descriptor, usable)
-
-    def predict_labels(self, labels, descriptor, usable=None):
-        """The same for label images (n, 28, 28)."""
         answers = np.full((len(labels), len(self.mean)), np.nan)
-        usable = np.ones(len(labels), dtype=bool) if usable is None else usable
         with torch.inference_mode():
             for rows in np.array_split(np.flatnonzero(usable), max(1, len(labels) // 256)):
                 if len(rows):
                     answers[rows] = self.net(torch.from_numpy(centred(labels[rows]))).numpy() * self.scale + self.mean
-        return answers[:, columns(descriptor, ANSWERS)]
+        return answers[:, self.columns(descriptor)]
 
 
-def train_surrogate(data: "xr.Dataset", steps: int = 1500, seed: int = 0, rows: np.ndarray | None = None) -> Surrogate:
+def train_surrogate(
+    data: "xr.Dataset",
+    steps: int = 1500,
+    seed: int = 0,
+    rows: np.ndarray | None = None,
+    answers: str | None = None,
+) -> Surrogate:
     """Train the surrogate, or find it trained in the cache.
 
     Parameters
@@ -80,58 +90,38 @@ def train_surrogate(data: "xr.Dataset", steps: int = 1500, seed: int = 0, rows: 
     data : xarray.Dataset
         Simulated structures.
     steps : int
-        Training steps of `BATCH` structures each.
+        Training steps of 64 structures each.
     seed : int
         Of the first weights and the batches.
     rows : (m,) int, optional
         Structures to train on; by default those that the diffusion models are trained on.
+    answers : str, optional
+        Descriptor that it is to answer with, or several, "height+area"; by default all that the deformed nodes tell.
 
     Returns
     -------
     Surrogate
     """
     rows = training_rows(data) if rows is None else rows
-    labels, answers = data["label"].values[rows], _answer_matrix(data)[rows]
-    parts = [columns(name, ANSWERS) for name in ANSWERS]
-    mean = answers.mean(axis=0)
+    answers = answers or name_of(one.name for one in basic() if one.of_nodes and one.variable in data)
+    told = get_descriptor(answers)
+    labels, values = data["label"].values[rows], descriptor_matrix(data, answers)[rows]
+    parts = [columns(part, told.parts) for part in told.parts]
+    mean = values.mean(axis=0)
     scale = np.concatenate(
-        [get_descriptor(n).error.scale(answers[:, of]) for n, of in zip(ANSWERS, parts, strict=True)]
+        [get_descriptor(part).error.scale(values[:, of]) for part, of in zip(told.parts, parts, strict=True)]
     )
-    net = initialised(lambda: Network(answers.shape[1]), seed)
+    net = initialised(lambda: Network(told.length), seed)
+    x = torch.from_numpy(centred(np.concatenate([labels, labels[:, :, ::-1]])))
+    y = torch.from_numpy((np.concatenate([values, told.mirrored(values)]) - mean) / scale).float()
 
-    def make(target, scratch):
-        x = torch.from_numpy(centred(np.concatenate([labels, labels[:, :, ::-1]])))
-        y = np.concatenate([answers, mirrored(answers)])
-        y = torch.from_numpy((y - mean) / scale).float()
+    def loss(rows, generator):
+        squares = (net(x[rows]) - y[rows]).square().mean(dim=0)
+        return sum(squares[of].mean() for of in parts)  # an axis counts as much as each scalar
 
-        def loss(rows, generator):
-            squares = (net(x[rows]) - y[rows]).square().mean(dim=0)
-            return sum(squares[of].mean() for of in parts)  # an axis counts as much as each scalar
-
-        history, seconds = fit(net, loss, len(x), steps, BATCH, 2e-3, seed, scratch, "training the surrogate")
-        _storage.write(target, "surrogate", net.state_dict(), {"history": history, "seconds": seconds})
-
-    key = {
-        "data": digest(labels, answers),
-        "steps": steps,
-        "seed": seed,
-        "code": step_version("alternative"),
-    }
-    path = cached("surrogate", key, make, ".safetensors")
-    tensors, content = _storage.read(path, "surrogate")
-    _storage.fill(net.state_dict(), tensors, path)
-    return Surrogate(net.eval(), mean, scale, content["seconds"])
-
-
-def _answer_matrix(data):
-    """Everything that the surrogate answers: height, width, hull area and the medial axis, (n, 63)."""
-    return np.column_stack([descriptor_matrix(data, name) for name in ANSWERS])
-
-
-def mirrored(answers):
-    """The answers for mirrored structures."""
-    parts = [get_descriptor(name).mirrored(answers[:, columns(name, ANSWERS)]) for name in ANSWERS]
-    return np.column_stack(parts)
+    options, key = {"steps": steps, "batch_size": BATCH, "seed": seed}, {"data": digest(labels, values)}
+    seconds = train_once("surrogate", net, loss, len(x), options, key, "training the surrogate")
+    return Surrogate(net, answers, mean, scale, seconds)
 
 
 def centred(labels):

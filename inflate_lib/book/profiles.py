@@ -25,6 +25,7 @@ import jupytext
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from inflate_lib._yaml import hint
+from inflate_lib.descriptors import DESCRIPTORS
 from inflate_lib.models.recipe import Recipe, read_profile
 
 
@@ -101,7 +102,7 @@ def check_profile(profile: Profile, notebooks: list[Path]) -> None:
     declared = {path.stem: declared_parameters(path) for path in notebooks}
     problems = []
     try:
-        Recipe.from_dict(profile.recipe).config("height")
+        Recipe.from_dict(profile.recipe).config(DESCRIPTORS[0])
     except ValueError as error:
         problems.append(f"recipe.training: {error}")
     for name, value in profile.common.items():

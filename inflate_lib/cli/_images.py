@@ -15,6 +15,7 @@ import numpy as np
 from inflate_lib._checks import choice
 from inflate_lib._files import check_outputs, naming
 from inflate_lib.descriptors import describe
+from inflate_lib.descriptors.registry import basic
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.pictures import PICTURES, in_one_line, read_images, with_ending
 from inflate_lib.io.vtk import vtk_files, write_vtk
@@ -25,7 +26,7 @@ from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.structures.labels import THICKNESS, stages, turns_to_bottom
 
 ENGINES = ("built-in", "moose")
-SIZES = ("height", "width", "hull_area")
+SIZES = {one.variable: one.title for one in basic() if one.is_size}  # in records, and in the heading of the table
 
 
 @dataclass(frozen=True)
@@ -136,10 +137,10 @@ def report(records, as_json, options):
         parameters = {k: v for k, v in asdict(options).items() if k not in ("plot", "gif", "vtk", "moose")}
         print(json.dumps({"parameters": parameters, "structures": done}, indent=1, allow_nan=False))
     else:
-        table = Table("structure", "height", "width", "hull area", "seconds", "files", title=None)
+        table = Table("structure", *SIZES.values(), "seconds", "files", title=None)
         for record in done:
             if record["converged"]:
-                numbers = [f"{record[key]:.4f}" for key in ("height", "width", "hull_area")]
+                numbers = [f"{record[key]:.4f}" for key in SIZES]
                 name = f"{record['name']} ({record['note']})" if record["note"] else record["name"]
                 table.add_row(name, *numbers, f"{record['seconds']:.2f}", "\n".join(record["files"]))
         if failed < len(done):

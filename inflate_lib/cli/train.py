@@ -30,7 +30,7 @@ def train(
     paths.need_checkout("inflate train")
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
-    from inflate_lib.diffusion import _ranks
+    from inflate_lib.diffusion import ranks
     from inflate_lib.experiments.calibrate import calibrate_weights
     from inflate_lib.models import train
     from inflate_lib.models.reach import save_reach
@@ -43,7 +43,7 @@ def train(
     names = list(DESCRIPTORS) if descriptor == "all" else [get_descriptor(descriptor).name]
     recipe = load_recipe(profile)
     recipe = recipe.changed(training=({"device": device} if device else {}) | ({"compile": True} if compile else {}))
-    _ranks.start(recipe.training.get("device", "auto"))
+    ranks.start(recipe.training.get("device", "auto"))
     data = simulated_sevens(recipe.source, recipe.n_structures)
     basis = names, recipe, data
     if pack is not None:
@@ -59,16 +59,16 @@ def train(
         files = train.train_models(*basis, log)
         told = {"profile": profile, "sampling": dict(recipe.sampling)}
         text = "\n".join(_export(Path(file), name, told, out) for name, file in files.items() if file)
-        if out is not None and _ranks.rank() == 0:
+        if out is not None and ranks.rank() == 0:
             save_reach(data, out)
             for name in names:
                 try:
                     calibrate_weights(out, data, recipe, [name])
                 except ValueError as error:  # it can be used all the same, told the target itself
                     text += f"\n{name} is not calibrated: {error}"
-    if _ranks.rank() == 0:
+    if ranks.rank() == 0:
         print(text)
-    _ranks.finish()
+    ranks.finish()
 
 
 def _export(file: Path, name: str, told: Mapping, out: Path | None) -> str:

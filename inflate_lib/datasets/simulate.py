@@ -22,7 +22,8 @@ from inflate_lib._checks import is_whole_number
 from inflate_lib._files import draft
 from inflate_lib.datasets import _workers
 from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors import Shape, added_version, basic
+from inflate_lib.descriptors import Shape
+from inflate_lib.descriptors.registry import added_version, basic
 from inflate_lib.mechanics import contact, inflation
 from inflate_lib.mechanics.buildable import Flaw, find_flaw
 from inflate_lib.structures import labels, sources
@@ -123,7 +124,7 @@ def simulate_dataset(
 
     done = _pieces(images, n_steps, time_limit, folder, run)
     if progress_text:
-        done = _progress.track(((len(rows["height"]), rows) for rows in done), len(images), "inflating structures")
+        done = _progress.track(((len(rows["image"]), rows) for rows in done), len(images), "inflating structures")
     return _assemble(list(done), n_steps)
 
 

@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from inflate_lib.descriptors import PARTS, get_descriptor
+from inflate_lib.descriptors import get_descriptor
+from inflate_lib.descriptors.registry import PARTS
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -5,56 +5,20 @@ paper leaves to future work (sec. 5): the peak von Mises stress and the largest 
 :func:`inflate_lib.descriptors.register`.
 """
 
-from inflate_lib.descriptors.errors import POINT_DISTANCE, RELATIVE
-from inflate_lib.descriptors.registry import (
-    DESCRIPTORS,
-    JOINT,
-    PARTS,
-    PHYSICAL,
-    Descriptor,
-    added_version,
-    basic,
-    columns,
-    get_descriptor,
-    name_of,
-    register,
-    registered,
-)
-from inflate_lib.descriptors.shape import (
-    AXIS_POINTS,
-    Shape,
-    axis_height,
-    hull_sides,
-    medial_axis,
-    mirror_axis,
-    place_axis,
-)
-from inflate_lib.descriptors.values import Descriptors, describe, descriptor_matrix, joint_conditions
+from inflate_lib.descriptors.distances import POINT_DISTANCE, RELATIVE
+from inflate_lib.descriptors.registry import DESCRIPTORS, Descriptor, get_descriptor, register
+from inflate_lib.descriptors.shape import Shape
+from inflate_lib.descriptors.values import Descriptors, describe, descriptor_matrix
 
 __all__ = [
-    "AXIS_POINTS",
     "DESCRIPTORS",
-    "JOINT",
-    "PARTS",
-    "PHYSICAL",
     "POINT_DISTANCE",
     "RELATIVE",
     "Descriptor",
     "Descriptors",
     "Shape",
-    "added_version",
-    "axis_height",
-    "basic",
-    "columns",
     "describe",
     "descriptor_matrix",
     "get_descriptor",
-    "hull_sides",
-    "joint_conditions",
-    "medial_axis",
-    "mirror_axis",
-    "name_of",
-    "place_axis",
     "register",
-    "registered",
 ]

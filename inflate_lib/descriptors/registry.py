@@ -6,13 +6,24 @@ Whatever is true of one descriptor only stands here; the rest of the library goe
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from inflate_lib._cache import digest
-from inflate_lib.descriptors.errors import POINT_DISTANCE, RELATIVE, PointDistance, RelativeError
-from inflate_lib.descriptors.shape import AXIS_POINTS, medial_axis, mirror_axis, place_axis
+from inflate_lib._checks import number, positive_number
+from inflate_lib.descriptors.distances import POINT_DISTANCE, RELATIVE, PointDistance, RelativeError
+from inflate_lib.descriptors.shape import (
+    AXIS_POINTS,
+    area_gradient,
+    axis_height,
+    check_axis,
+    medial_axis,
+    mirror_axis,
+    place_axis,
+)
 from inflate_lib.mechanics.stress import largest_stretch, von_mises
 
 if TYPE_CHECKING:
@@ -57,6 +68,15 @@ class Descriptor:
         Names of the descriptors that this one is put together from; it is measured, mirrored and stored as they are.
     any_part : bool
         A model of it can be asked for any combination of the parts.
+    check : callable, optional
+        ``check(name, value)`` makes a target of what is given for it, or raises a ValueError; by default a target is N
+        finite numbers.
+    bounds : Mapping
+        What it says about other descriptors of a single component: name → function of its vector (N,) → the least and
+        the greatest value of that one. Targets that contradict it are refused.
+    gradient : callable, optional
+        ``gradient(nodes)`` → (n, 2), the derivative with respect to deformed nodes (n, 2) of a single component. Where
+        there is one, designs are refined by :func:`inflate_lib.mechanics.sensitivities`.
     """
 
     name: str
@@ -74,6 +94,9 @@ class Descriptor:
     draw: Callable | None = None
     parts: tuple[str, ...] = ()
     any_part: bool = False
+    check: Callable | None = None
+    bounds: Mapping[str, Callable] = field(default_factory=dict)
+    gradient: Callable | None = None
 
     def __post_init__(self):
         if (self.measure is None) != bool(self.parts):
@@ -110,6 +133,11 @@ class Descriptor:
         """Whether the components are the coordinates of the points of one line."""
         return isinstance(self.error, PointDistance)
 
+    @property
+    def is_size(self) -> bool:
+        """Whether it is one number that the deformed nodes alone tell."""
+        return self.is_basic and self.length == 1 and self.of_nodes
+
     def of(self, shape: "Shape") -> np.ndarray:
         """The value for a :class:`inflate_lib.descriptors.Shape`, in the shape of `sizes`."""
         shape_of_value = tuple(self.sizes.values())
@@ -124,6 +152,26 @@ class Descriptor:
         return np.column_stack(
             [get_descriptor(part).mirrored(vectors[:, columns(part, self.parts)]) for part in self.parts]
         )
+
+    def target(self, value: Any) -> np.ndarray:
+        """(N,) the target that is meant by a value, or a ValueError."""
+        checked = value if self.check is None else self.check(self.name, value)
+        try:
+            vector = np.ravel(np.asarray(checked, dtype=float))
+        except (TypeError, ValueError, RuntimeError):
+            vector = np.empty(0)
+        if vector.size != self.length or not np.isfinite(vector).all():
+            numbers = f"{self.length} finite number{'s' * (self.length > 1)}"
+            raise ValueError(f"{self.name} must be {numbers}, not {value!r}")
+        return vector
+
+    def conditions(self, name: str, values: np.ndarray) -> np.ndarray:
+        """Vectors (m, ·) of some of the parts as a model of it is told them, (m, N): NaN for what is not asked for."""
+        if not set(get_descriptor(name).parts) <= set(self.parts):
+            raise ValueError(f"the {self.name} model takes {', '.join(self.parts)}, not {name}")
+        conditions = np.full((len(values), self.length), np.nan)
+        conditions[:, columns(name, self.parts)] = values
+        return conditions
 
 
 def get_descriptor(name: str) -> Descriptor:
@@ -144,7 +192,8 @@ def get_descriptor(name: str) -> Descriptor:
 
 def name_of(parts: Iterable[str]) -> str:
     """What basic descriptors, in any order, are called together: "box", "joint", "height+area"."""
-    together = [one.name for one in registered() if set(one.parts) == set(parts)]
+    parts = set(parts)
+    together = [one.name for one in registered() if set(one.parts) == parts]
     return together[0] if together else "+".join(one.name for one in basic() if one.name in parts)
 
 
@@ -163,7 +212,7 @@ def register(descriptor: Descriptor) -> Descriptor:
     ValueError
         Where the name, or the variable of data sets, is one of the library's.
     """
-    if descriptor.name in _OWN:
+    if descriptor.name in OWN:
         raise ValueError(f"{descriptor.name} is a descriptor of the library's own; choose another name")
     if descriptor.is_basic and descriptor.variable in _TAKEN:
         raise ValueError(f"descriptor {descriptor.name}: data sets have a variable {descriptor.variable} already")
@@ -185,7 +234,7 @@ def added_version() -> str:
 
     It belongs into the keys of results that hold descriptors. It does not see a change of what ``measure`` calls.
     """
-    sources = [part for one in basic() if one.name not in _OWN for part in (one.name, _source(one))]
+    sources = [part for one in basic() if one.name not in OWN for part in (one.name, _source(one))]
     return digest(*sources)[:16] if sources else ""
 
 
@@ -193,6 +242,17 @@ def columns(name: str, among: Sequence[str]) -> np.ndarray:
     """(N,) int: where the components of a descriptor stand among those of several, one descriptor after another."""
     owner = np.repeat(among, [get_descriptor(part).length for part in among])
     return np.flatnonzero(np.isin(owner, get_descriptor(name).parts))
+
+
+def implied(wanted: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What vectors (N,) of descriptors, by name, say exactly about others: an axis about the height."""
+    found = {}
+    for name, vector in wanted.items():
+        for other, bound in get_descriptor(name).bounds.items():
+            least, most = bound(vector)
+            if least == most and other not in wanted:
+                found[other] = np.array([least])
+    return found
 
 
 def _add(descriptor):
@@ -237,6 +297,33 @@ def _stretch(shape):
     return largest_stretch(shape.result).max()
 
 
+def _extent_gradient(direction, nodes):
+    """It follows the two nodes in which the extent is attained."""
+    gradient = np.zeros_like(nodes)
+    gradient[nodes[:, direction].argmax(), direction] = 1
+    gradient[nodes[:, direction].argmin(), direction] = -1
+    return gradient
+
+
+def _hull_gradient(nodes):
+    gradient = np.zeros_like(nodes)
+    hull = ConvexHull(nodes).vertices
+    gradient[hull] = area_gradient(nodes[hull])
+    return gradient
+
+
+def _height_of_axis(vector):
+    return (axis_height(vector.reshape(-1, 2)),) * 2
+
+
+def _width_of_axis(vector):
+    return np.ptp(vector[0::2]), np.inf
+
+
+def _area_of_box(vector):
+    return 0.0, vector.prod()
+
+
 def _draw_height(ax, target, nodes, **style):
     """A line as high as the target above the lowest node."""
     (left, bottom), (right, _) = nodes.min(axis=0), nodes.max(axis=0)
@@ -266,9 +353,41 @@ def _draw_axis(ax, target, nodes, **style):
     ax.plot(*points.T, **(style | own))
 
 
-_add(Descriptor("height", "h", _height, meaning="deformed height h", unit="side", draw=_draw_height))
-_add(Descriptor("width", "w", _width, meaning="deformed width w", unit="side", draw=_draw_width))
-_add(Descriptor("box", "(h, w)", title="bounding box", unit="side", parts=("height", "width"), draw=_draw_box))
+_add(
+    Descriptor(
+        "height",
+        "h",
+        _height,
+        meaning="deformed height h",
+        unit="side",
+        check=positive_number,
+        gradient=partial(_extent_gradient, 1),
+        draw=_draw_height,
+    )
+)
+_add(
+    Descriptor(
+        "width",
+        "w",
+        _width,
+        meaning="deformed width w",
+        unit="side",
+        check=positive_number,
+        gradient=partial(_extent_gradient, 0),
+        draw=_draw_width,
+    )
+)
+_add(
+    Descriptor(
+        "box",
+        "(h, w)",
+        title="bounding box",
+        unit="side",
+        parts=("height", "width"),
+        bounds={"area": _area_of_box},
+        draw=_draw_box,
+    )
+)
 _add(
     Descriptor(
         "area",
@@ -278,6 +397,8 @@ _add(
         meaning="area A of the deformed convex hull",
         unit="side²",
         variable="hull_area",
+        check=positive_number,
+        gradient=_hull_gradient,
     )
 )
 # Stress and stretch are told as they are: over MNIST's sevens their skewness is 0.5 and 0.3. Logarithms of the
@@ -287,9 +408,11 @@ _add(
         "stress",
         "σ",
         _stress,
+        title="peak stress",
         meaning="largest von Mises stress of any element, in the units of lambda and mu",
         components=("stress",),
         variable="peak_stress",
+        check=positive_number,
         of_nodes=False,
     )
 )
@@ -298,9 +421,11 @@ _add(
         "stretch",
         "s",
         _stretch,
+        title="peak stretch",
         meaning="largest principal stretch of any element",
         components=("stretch",),
         variable="peak_stretch",
+        check=partial(number, least=1),
         of_nodes=False,
     )
 )
@@ -317,12 +442,14 @@ _add(
         sizes={"point": AXIS_POINTS, "axis": 2},
         flip=mirror_axis,
         error=POINT_DISTANCE,
+        check=check_axis,
+        bounds={"height": _height_of_axis, "width": _width_of_axis},
         draw=_draw_axis,
     )
 )
 _add(Descriptor("joint", "joint", parts=("height", "width", "area", "stress", "stretch", "axis"), any_part=True))
 
-_OWN = frozenset(_registry)
+OWN = frozenset(_registry)
 #: Variables of data sets that no further descriptor may have.
 _TAKEN = frozenset(one.variable for one in basic()) | {
     "image", "label", "converged", "reason", "buildable", "flaw", "factorisations", "self_contact",

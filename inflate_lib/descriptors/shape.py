@@ -1,7 +1,7 @@
 """What descriptors are measured on: the deformed nodes, their convex hull, and the inflation that they come from."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
 
 AXIS_POINTS = 30
+EVEN = 1e-3  # relative difference up to which increments of height count as equal
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,46 @@ def hull_sides(hull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if len(left) > 2 and left[-2, 1] >= left[-1, 1]:
         left = left[:-1]
     return left, right
+
+
+def check_axis(name: str, value: Any) -> np.ndarray:
+    """A medial axis (30, 2) from points, or a ValueError.
+
+    Thirty points at equal increments of height are taken as they are (the thirtieth lies one increment below the top,
+    as in :func:`medial_axis`). Any other points are the corners of a line from the bottom of the shape to its top, on
+    which the thirty are placed.
+    """
+    points = check_points(name, value)
+    if len(points) < 2:
+        raise ValueError(f"{name}: two points at least are needed, from the bottom to the top, not {len(points)}")
+    rise = np.diff(points[:, 1])
+    if not np.all(rise > 0):
+        row = int(np.argmax(rise <= 0)) + 2
+        raise ValueError(f"{name}: its points must rise from the bottom to the top; point {row} does not")
+    points = points - points[0]
+    if len(points) == AXIS_POINTS and np.ptp(rise) <= EVEN * rise.mean():
+        return points
+    y = points[-1, 1] * np.arange(AXIS_POINTS) / AXIS_POINTS
+    return np.column_stack([np.interp(y, points[:, 1], points[:, 0]), y])
+
+
+def check_points(name: str, value: Any) -> np.ndarray:
+    """Points (k, 2), or a ValueError."""
+    try:
+        points = np.array(value, dtype=float)
+    except (TypeError, ValueError, RuntimeError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"{name}: points of shape (k, 2) are needed")
+    if not np.isfinite(points).all():
+        raise ValueError(f"{name}: some coordinates are NaN or infinite")
+    return points
+
+
+def area_gradient(corners: np.ndarray) -> np.ndarray:
+    """Derivative of the area of polygons (…, k, 2), counter-clockwise, with respect to their corners."""
+    across = (np.roll(corners, -1, axis=-2) - np.roll(corners, 1, axis=-2)) / 2
+    return np.stack([across[..., 1], -across[..., 0]], axis=-1)
 
 
 def axis_height(axis: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inflate_lib.descriptors.registry import JOINT, PARTS, basic, columns, get_descriptor
+from inflate_lib.descriptors.registry import basic, get_descriptor
 from inflate_lib.descriptors.shape import Shape
 
 if TYPE_CHECKING:
@@ -54,6 +54,11 @@ class Descriptors:
         """(N,) the descriptor `name` as a model is conditioned on it."""
         values = {**vars(self), **self.others}
         return _vectors(name, lambda variable: np.reshape(values[variable], (1, -1)))[0]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Name of each descriptor that is measured → its value in plain numbers."""
+        values = {**vars(self), **self.others}
+        return {one.name: np.asarray(values[one.variable]).tolist() for one in basic()}
 
 
 def describe(result: "Inflation | np.ndarray", step: int = -1) -> Descriptors:
@@ -110,16 +115,6 @@ def descriptor_matrix(data: "xr.Dataset", name: str) -> np.ndarray:
         return data[variable].values.reshape(data.sizes["structure"], -1)
 
     return _vectors(name, values)
-
-
-def joint_conditions(name: str, values: np.ndarray) -> np.ndarray:
-    """Descriptors (n, N) as a model of the descriptor "joint" is told them, (n, 65): NaN for what is not asked for."""
-    values, joint = np.asarray(values, dtype=float), get_descriptor(JOINT)
-    if not set(get_descriptor(name).parts) <= set(PARTS):
-        raise ValueError(f"the joint model takes {', '.join(PARTS)}, not {name}")
-    conditions = np.full((len(values), joint.length), np.nan)
-    conditions[:, columns(name, PARTS)] = values
-    return conditions
 
 
 def _vectors(name, values):

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 
 from inflate_lib._checks import choice, flag, number, whole_number
-from inflate_lib.diffusion._random import initialised
 from inflate_lib.diffusion.process import check_objective
+from inflate_lib.diffusion.randomness import initialised
 from inflate_lib.diffusion.unet import UNet, check_conditioning
 
 _ASIDE = ("device", "precision", "compile", "checkpoint_every", "log_every")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inflate_lib.diffusion import _storage
+from inflate_lib.diffusion import storage
 from inflate_lib.diffusion.config import TrainingConfig
 from inflate_lib.diffusion.schedule import Schedule, cosine_schedule
 from inflate_lib.diffusion.unet import UNet
@@ -48,18 +48,18 @@ class TrainedModel:
             "history": self.history,
             "metadata": self.metadata,
         }
-        _storage.write(path, "model", tensors, content)
+        storage.write(path, "model", tensors, content)
 
     @classmethod
     def load(cls, path: Path) -> "TrainedModel":
         """Read a saved model, onto the CPU. A foreign, truncated or altered file is a ValueError that names it."""
-        tensors, content = _storage.read(path, "model")
+        tensors, content = storage.read(path, "model")
         low, high = (np.array(content[name], dtype=np.float64) for name in ("condition_min", "condition_max"))
         try:
             config = TrainingConfig.from_dict(content["config"])
         except ValueError as error:
             raise ValueError(f"{path} was written by another version of this library: {error}") from error
         net = config.make_net(len(low))
-        _storage.fill(net.state_dict(), tensors, path)
+        storage.fill(net.state_dict(), tensors, path)
         size = tuple(content["image_size"])
         return cls(net.eval(), config, low, high, size, content["history"], content["metadata"])

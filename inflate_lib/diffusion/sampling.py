@@ -13,8 +13,8 @@ from torch import Tensor
 
 from inflate_lib._checks import choice, number, positive_number, share, whole_number
 from inflate_lib.diffusion import process
-from inflate_lib.diffusion._random import random_generator
 from inflate_lib.diffusion.model import TrainedModel
+from inflate_lib.diffusion.randomness import random_generator
 from inflate_lib.diffusion.schedule import Schedule, at
 from inflate_lib.diffusion.training import choose_device
 

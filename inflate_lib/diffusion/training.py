@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inflate_lib.diffusion import _ranks, _storage, process
-from inflate_lib.diffusion._loop import Loop
-from inflate_lib.diffusion._random import random_generator
+from inflate_lib.diffusion import process, ranks, storage
 from inflate_lib.diffusion.config import TrainingConfig
+from inflate_lib.diffusion.loop import Loop
 from inflate_lib.diffusion.model import TrainedModel
+from inflate_lib.diffusion.randomness import random_generator
 from inflate_lib.diffusion.schedule import at, cosine_schedule
 
 
@@ -39,7 +39,7 @@ def train(
 ) -> TrainedModel:
     """Train a denoiser on pairs of structure and descriptor.
 
-    Under ``torchrun``, after ``_ranks.start()``, all processes call this with the same pairs and share each batch.
+    Under ``torchrun``, after ``ranks.start()``, all processes call this with the same pairs and share each batch.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class _Run(Loop):
             config.log_every,
             config.checkpoint_steps(n),
             folder,
-            identity={"config": config.recipe(), "data": _storage.fingerprint(images, conditions)},
+            identity={"config": config.recipe(), "data": storage.fingerprint(images, conditions)},
         )
         self.config = config
         self.bfloat16 = config.precision == "bfloat16" or (config.precision == "auto" and device.type == "cuda")
@@ -197,7 +197,7 @@ class _Run(Loop):
             withheld = torch.rand((n, len(config.parts)), generator=generator) < 0.5
             withheld = withheld.repeat_interleave(torch.tensor(config.parts), dim=1)
             y = y.masked_fill(withheld.to(self.device), math.nan)
-        mine = slice(_ranks.rank(), None, _ranks.world())
+        mine = slice(ranks.rank(), None, ranks.world())
         rows, y, t, dropped, noise = rows[mine], y[mine], t[mine], dropped[mine], noise[mine]
         if not len(rows):
             return torch.zeros(len(self.parts), device=self.device)

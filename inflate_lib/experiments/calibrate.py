@@ -14,12 +14,13 @@ import numpy as np
 
 from inflate_lib._cache import digest
 from inflate_lib.datasets.split import training_rows
-from inflate_lib.descriptors import PHYSICAL, descriptor_matrix, get_descriptor, name_of
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.descriptors.registry import name_of
 from inflate_lib.diffusion import TrainedModel
-from inflate_lib.diffusion._random import seed_for
+from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.experiments.run import run_experiment
 from inflate_lib.models.calibration import Calibration
-from inflate_lib.models.reach import SIZES, save_reach
+from inflate_lib.models.reach import save_reach
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.weights import Model
 
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _N_ASKED = 300  # structures drawn to fit g
-#: What a joint model is calibrated for.
-_COMBINATIONS = [name_of(parts) for k in (1, 2, 3) for parts in combinations(SIZES, k)] + ["axis", *PHYSICAL]
 
 
 def calibrate(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
@@ -91,7 +90,7 @@ def calibrate_weights(
             raise ValueError(f"{file} was trained on other data: {trained.metadata.get('structures')} structures")
         model, found = Model(file.stem, trained, recipe.sampling), {}
         joint = get_descriptor(file.stem).any_part
-        for asked in _COMBINATIONS if joint else (file.stem,):
+        for asked in _combinations(file.stem) if joint else (file.stem,):
             with suppress(ValueError) if joint else nullcontext():
                 if recipe.n_calibration:
                     found[asked] = calibrate(model, data, recipe.n_calibration, recipe.seed, asked)
@@ -134,3 +133,11 @@ def answers(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
     answer = run_experiment(model.sampled(), targets, 1, seed_for(seed, "calibration"), descriptor, n_jobs)
     valid = answer["valid"].values
     return targets[valid], descriptor_matrix(answer, descriptor)[valid]
+
+
+def _combinations(joint):
+    """What a joint model is calibrated for: every combination of the sizes among its parts, and each other part."""
+    parts = get_descriptor(joint).parts
+    sizes = [part for part in parts if get_descriptor(part).is_size]
+    together = [name_of(some) for k in range(1, len(sizes) + 1) for some in combinations(sizes, k)]
+    return together + [part for part in parts if part not in sizes]

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, get_descriptor
+from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
+from inflate_lib.descriptors.registry import PHYSICAL
 from inflate_lib.experiments.calibrate import calibrate_weights
 from inflate_lib.experiments.run import run_held_out
 from inflate_lib.experiments.tables import score, scores, with_interval

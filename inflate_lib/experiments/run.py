@@ -18,9 +18,10 @@ from inflate_lib._files import draft
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.split import held_out
 from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors import PARTS, added_version, columns, descriptor_matrix, get_descriptor
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.descriptors.registry import PARTS, added_version, columns
 from inflate_lib.diffusion import generate
-from inflate_lib.diffusion._random import seed_for
+from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.structures import labels
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from scipy import ndimage
 
 from inflate_lib._checks import choice
 from inflate_lib.datasets.simulate import TIME_LIMIT
-from inflate_lib.descriptors import describe
+from inflate_lib.descriptors import describe, get_descriptor
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.targets import deviations
-from inflate_lib.mechanics.adjoint import DIFFERENTIABLE, flip_changes, sensitivities
+from inflate_lib.mechanics.adjoint import flip_changes, sensitivities
 from inflate_lib.mechanics.buildable import Flaw, find_flaw
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, label_image
@@ -135,13 +135,17 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
 def _most_promising(pixels, label, result, targets, symmetric=False):
     """`pixels` (k, 2) in the order of the largest error to expect where one is flipped, the smallest first.
 
-    Height, width and area are expected to change as :func:`.mechanics.adjoint.flip_changes` says; all else, to stay.
+    Descriptors that have a gradient are expected to change as :func:`.mechanics.adjoint.flip_changes` says; all others,
+    to stay.
     """
     shape, mirror = describe(result), _mirror_columns(label)
-    stays = [miss for name, miss in deviations(targets, shape).items() if name not in DIFFERENTIABLE]
+    gradients = {name: get_descriptor(name).gradient for name in targets.asked}
+    stays = [miss for name, miss in deviations(targets, shape).items() if gradients[name] is None]
     expected = np.full(len(pixels), max(stays, default=0.0))
-    for name in (name for name in targets.asked if name in DIFFERENTIABLE):
-        change = flip_changes(label, sensitivities(result, name))
+    for name, gradient in gradients.items():
+        if gradient is None:
+            continue
+        change = flip_changes(label, sensitivities(result, gradient))
         if symmetric:  # of both pixels; one in the middle is its own mirror image
             change = change + np.where(mirror == np.arange(FRAME), 0, change[:, mirror.clip(0, FRAME - 1)])
         reached = shape.vector(name) + change[tuple(pixels.T)]

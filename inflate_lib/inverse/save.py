@@ -334,11 +334,8 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
     _write_stl(folder / "part.stl", *part(one.label, size_mm, depth_mm))
     write_vtk(one.result, folder / "inflated.pvd")
     moose.write_case(one.result.mesh, folder / "moose", name)
-    shape = one.shape
-    achieved = {"height": shape.height, "width": shape.width, "area": shape.hull_area}
-    achieved["axis"] = shape.medial_axis.tolist()
     record = {
-        "achieved": achieved | {name: np.asarray(value).tolist() for name, value in shape.others.items()},
+        "achieved": one.shape.as_dict(),
         "errors": one.deviations,
         "within_tolerance": bool(one.within),
         "peak_von_mises_stress": one.shape.peak_stress,

@@ -20,9 +20,10 @@ from joblib import Parallel, delayed
 from inflate_lib import paths
 from inflate_lib._checks import choice, positive_number, whole_number
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.descriptors import JOINT, PARTS, PHYSICAL, Descriptors, describe, get_descriptor, registered
+from inflate_lib.descriptors import Descriptors, describe, get_descriptor
+from inflate_lib.descriptors.registry import PHYSICAL, basic, registered
 from inflate_lib.diffusion import generate
-from inflate_lib.diffusion._storage import fingerprint
+from inflate_lib.diffusion.storage import fingerprint
 from inflate_lib.inverse.constraints import Constraints, mirrored
 from inflate_lib.inverse.refine import Rejection, attempt
 from inflate_lib.inverse.refine import refine as refine_structure
@@ -111,17 +112,16 @@ class Designs:
         return len(self.pool)
 
     def table(self) -> pd.DataFrame:
-        """A row per design: errors in percent, descriptors, peaks; the stress as a target, and over μ."""
+        """A row per design: errors in percent, and the descriptors that are one number; the stress over μ as well."""
+        numbers = {one.name: one.title for one in basic() if one.length == 1}
         rows = []
         for number, one in enumerate(self.designs, start=1):
             row = {"design": number, "within": one.within}
             row |= {f"error {name} (%)": 100 * value for name, value in one.deviations.items()}
-            row |= {"height": one.shape.height, "width": one.shape.width, "area": one.shape.hull_area}
-            stress = one.shape.peak_stress
-            row |= {"peak stress": stress, "peak σ/μ": stress / one.result.lame[1]}
-            rows.append(row | {"peak stretch": one.shape.peak_stretch})
+            row |= {title: float(one.shape.vector(name)[0]) for name, title in numbers.items()}
+            rows.append(row | {"peak σ/μ": one.shape.peak_stress / one.result.lame[1]})
         names = [f"error {name} (%)" for name in self.targets.asked]
-        columns = ["design", "within", *names, "height", "width", "area", "peak stress", "peak σ/μ", "peak stretch"]
+        columns = ["design", "within", *names, *numbers.values(), "peak σ/μ"]
         return pd.DataFrame(rows, columns=columns)
 
     def summary(self) -> str:
@@ -270,12 +270,13 @@ def _find_model(targets, profile=None):
     asked = set(targets.asked)
     singles = [one.name for one in models_in_order() if set(one.parts) <= asked]
     fitting = singles if not asked & set(PHYSICAL) else []
-    fitting += [JOINT] if asked & set(PARTS) else []
+    joint = [one.name for one in registered() if one.any_part and asked & set(one.parts)]
+    fitting += joint
     for folder in (profile,) if profile else _WEIGHTS:
         for name in fitting:
             if (paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
                 return load_model(name, folder)
-    if fitting == [JOINT]:
+    if fitting == joint:
         raise _no_joint_model(targets)
     single = singles[0]
     recipe = load_recipe(profile or _WEIGHTS[-1])
@@ -406,13 +407,14 @@ def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
 def _check_model(model, targets):
     """Whether a model can be told the targets."""
     name, parts = model.name, model.trained.config.parts
-    if name != JOINT and set(PHYSICAL) & set(targets.asked):
+    told = get_descriptor(name)
+    if not told.any_part and set(PHYSICAL) & set(targets.asked):
         raise _no_joint_model(targets)
-    lengths = tuple(get_descriptor(part).length for part in PARTS)
-    if name == JOINT and parts != lengths:
+    lengths = tuple(get_descriptor(part).length for part in told.parts)
+    if told.any_part and parts != lengths:
         raise ValueError(
-            f"the joint model was trained for parts of lengths {parts}, and {', '.join(PARTS)} have "
-            f"{lengths}: train it again (inflate train --descriptor joint)"
+            f"the {name} model was trained for parts of lengths {parts}, and {', '.join(told.parts)} have "
+            f"{lengths}: train it again (inflate train --descriptor {name})"
         )
 
 
@@ -426,13 +428,12 @@ def _no_joint_model(targets):
 
 
 def _check_symmetric(targets, constraints, tolerance):
-    """A structure that is its own mirror image has a straight axis."""
-    if not constraints.symmetric or targets.axis is None:
-        return
-    straight = targets.axis * [0, 1]
-    lean = np.linalg.norm(targets.axis - straight, axis=1).mean() / targets.vector("height")[0]
-    if lean > tolerance:
-        raise ValueError(
-            f"a symmetric structure has a straight upright axis, and the axis asked for leans by {lean:.3f} of its "
-            "height: leave out --symmetric or straighten the axis"
-        )
+    """A structure that is its own mirror image has the descriptors of its mirror image: its axis is straight."""
+    for name, target in targets.vectors.items() if constraints.symmetric else ():
+        one = get_descriptor(name)
+        nearest = (target + one.mirrored(target[None])[0]) / 2
+        if (miss := one.error.share(nearest, target)) > tolerance:
+            raise ValueError(
+                f"a symmetric structure has the {name} of its mirror image, and the {name} asked for is "
+                f"{miss:.3f} away from being so: leave out --symmetric, or ask for a symmetric {name}"
+            )

@@ -6,89 +6,75 @@ contradicts itself is refused, and so is what no structure of the data set comes
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from inflate_lib._checks import positive_number
-from inflate_lib.descriptors import AXIS_POINTS, PHYSICAL, axis_height, basic, describe, get_descriptor
+from inflate_lib.descriptors import DESCRIPTORS, describe, get_descriptor
+from inflate_lib.descriptors.registry import basic, implied
+from inflate_lib.descriptors.shape import check_axis, check_points
 from inflate_lib.inverse.drawings import OPEN, how_measured, read_outline
 from inflate_lib.mechanics.contact import first_crossing
-from inflate_lib.models.reach import AGREE, SIZES
 
-_NUMBERS = (*SIZES, *PHYSICAL)
 _SAME = 1e-6  # distance of two corners, relative to the size of a drawing, up to which they are one
 
 
-@dataclass(frozen=True)
 class Targets:
-    """Wanted descriptors of the inflated shape; None where any will do.
+    """Wanted descriptors of the inflated shape.
+
+    Parameters
+    ----------
+    outline : (k, 2) float, optional
+        The drawing that the others were measured on, to be shown; its lowest point is at y = 0.
+    **wanted
+        Name of a descriptor that is measured (:mod:`inflate_lib.descriptors`) → its value, in lengths and areas of the
+        unit square; None where any will do. An axis is 30 points, or a line from the bottom of the shape to its top; a
+        stress is in the unit in which μ is 0.1644 (μ times σ/μ).
 
     Attributes
     ----------
-    height, width, area : float, optional
-        Area is that of the convex hull. In lengths and areas of the unit square.
-    stress, stretch : float, optional
-        Peak von Mises stress, in the unit in which μ is 0.1644 (μ times σ/μ), and largest principal stretch, at least
-        1, as in :func:`inflate_lib.mechanics.stress.peaks`.
-    axis : (30, 2) float, optional
-        Medial axis, the first point at the origin.
-    outline : (k, 2) float, optional
-        The drawing that the others were measured on, to be shown; its lowest point is at y = 0.
-    others : Mapping
-        Descriptors that were registered besides, name → number, or (N,) numbers.
+    vectors : dict
+        Name → vector (N,) of each descriptor that is asked for.
     measured : str
         How a drawing was measured, for whoever finds it out of reach.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, a value that is no target, or where nothing is asked for.
     """
 
-    height: float | None = None
-    width: float | None = None
-    area: float | None = None
-    axis: np.ndarray | None = None
-    outline: np.ndarray | None = None
-    stress: float | None = None
-    stretch: float | None = None
-    others: Mapping = field(default_factory=dict)
-    measured: str = ""
+    def __init__(self, outline: np.ndarray | None = None, **wanted: Any) -> None:
+        known = {one.name: one for one in basic()}
+        if unknown := [name for name in wanted if name not in known]:
+            raise ValueError(f"unknown target {unknown[0]!r}; choose among {', '.join(sorted([*known, 'outline']))}")
+        self.outline, self.measured = outline, ""
+        self.vectors = {n: one.target(wanted[n]) for n, one in known.items() if wanted.get(n) is not None}
+        if not self.vectors:
+            raise ValueError(f"nothing is asked for: give {', '.join(known)} or an outline, one at least")
 
-    def __post_init__(self):
-        object.__setattr__(self, "others", {name: _vector(name, value) for name, value in self.others.items()})
-        for name in _NUMBERS:
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, float(positive_number(name, getattr(self, name))))
-        if self.stretch is not None and self.stretch < 1:
-            raise ValueError(f"stretch is the largest ratio of lengths, at least 1, not {self.stretch:g}")
-        if self.axis is not None:
-            object.__setattr__(self, "axis", _check_axis(self.axis))
-        if not self.asked:
-            raise ValueError(f"nothing is asked for: give {', '.join(_NUMBERS)}, an axis or an outline, one at least")
+    def __getattr__(self, name: str) -> Any:
+        """The value of a descriptor that is asked for."""
+        vectors = vars(self).get("vectors", {})
+        if name not in vectors:
+            raise AttributeError(f"there is no target {name}")
+        return np.reshape(vectors[name], tuple(get_descriptor(name).sizes.values()))[()]
 
     @property
     def asked(self) -> tuple[str, ...]:
         """Names of the descriptors that are asked for."""
-        return (*(name for name in (*_NUMBERS, "axis") if getattr(self, name) is not None), *self.others)
-
-    @property
-    def vectors(self) -> dict[str, np.ndarray]:
-        """Name → vector (N,) of each descriptor that is asked for."""
-        return {name: self.vector(name) for name in self.asked}
+        return tuple(self.vectors)
 
     def vector(self, name: str) -> np.ndarray:
         """(N,) the target of one descriptor, NaN where it is not asked for; an axis says what the height is."""
-        return np.concatenate([self._of_part(part) for part in get_descriptor(name).parts])
+        known = implied(self.vectors) | self.vectors
+        nothing = {part: np.full(get_descriptor(part).length, np.nan) for part in get_descriptor(name).parts}
+        return np.concatenate([known.get(part, nan) for part, nan in nothing.items()])
 
     def as_dict(self) -> dict:
         """Plain numbers for JSON, of what is asked for."""
-        wanted = {**vars(self), **self.others}
-        return {name: np.asarray(wanted[name]).tolist() for name in self.asked}
-
-    def _of_part(self, name):
-        value = (vars(self) | self.others).get(name)
-        if name == "height" and value is None and self.axis is not None:
-            value = axis_height(self.axis)
-        return np.full(get_descriptor(name).length, np.nan) if value is None else np.ravel(value)
+        return {name: getattr(self, name).tolist() for name in self.asked}
 
 
 def as_targets(targets):
@@ -97,9 +83,8 @@ def as_targets(targets):
     Parameters
     ----------
     targets : Targets or Mapping
-        Keys "height", "width", "area", "axis" (30 points, or a polyline from the bottom to the top of the shape), and
-        "outline" (corners of a polygon, which gives all four); "stress", "stretch" and descriptors that were registered
-        go with any of them.
+        Names of descriptors that are measured, such as "height" or "axis" (30 points, or a polyline from the bottom to
+        the top of the shape), and "outline" (corners of a polygon, which gives the paper's descriptors).
 
     Raises
     ------
@@ -110,18 +95,13 @@ def as_targets(targets):
         return targets
     if not isinstance(targets, Mapping):
         raise ValueError(f"targets must be a mapping such as {{'height': 1.05}}, not {type(targets).__name__}")
-    known = {"outline", *(one.name for one in basic())}
-    if unknown := [name for name in targets if name not in known]:
-        raise ValueError(f"unknown target {unknown[0]!r}; choose among {', '.join(sorted(known))}")
-    given = {name: value for name, value in targets.items() if value is not None}
-    own = {one.name for one in fields(Targets)}
-    others = {name: given.pop(name) for name in list(given) if name not in own}
-    if "outline" not in given:
-        return Targets(**given, others=others)
-    physical = {name: given.pop(name) for name in PHYSICAL if name in given}
-    if len(given) > 1:
-        raise ValueError("an outline gives height, width, area and axis: leave the others out")
-    return replace(_outline_targets(given["outline"]), **physical, others=others)
+    given = {str(name): value for name, value in targets.items() if value is not None}
+    if (outline := given.pop("outline", None)) is None:
+        return Targets(**given)
+    drawn = _outline_targets(outline)
+    if set(given) & set(drawn.asked):
+        raise ValueError(f"an outline gives {', '.join(drawn.asked)}: leave the others out")
+    return Targets(drawn.outline, **drawn.as_dict(), **given)
 
 
 def _outline_targets(points):
@@ -139,7 +119,7 @@ def _outline_targets(points):
     ValueError
         Where it is empty, spans no area, or crosses itself.
     """
-    points = _points("outline", points)
+    points = check_points("outline", points)
     size = np.ptp(points, axis=0).max() if len(points) else 0.0
     points = points[np.linalg.norm(points - np.roll(points, 1, axis=0), axis=1) > _SAME * size]
     if len(points) < 3:
@@ -153,7 +133,8 @@ def _outline_targets(points):
         shape = describe(points)
     except ValueError:
         raise ValueError("outline: it is empty; its points lie on one line") from None
-    return Targets(shape.height, shape.width, shape.hull_area, shape.medial_axis, points - [0, points[:, 1].min()])
+    drawn = {name: value for name, value in shape.as_dict().items() if name in DESCRIPTORS}
+    return Targets(points - [0, points[:, 1].min()], **drawn)
 
 
 def read_targets(
@@ -180,31 +161,12 @@ def read_targets(
     given["outline"] = None if outline is None else read_outline(outline, unit)
     try:
         targets = as_targets(given)
-        return targets if outline is None else replace(targets, measured=how_measured(outline, given["outline"], unit))
+        if outline is not None:
+            targets.measured = how_measured(outline, given["outline"], unit)
+        return targets
     except ValueError as error:
         where = f"{outline}: " if outline is not None and str(error).startswith("outline") else ""
         raise ValueError(f"{where}{error}") from None
-
-
-def _check_axis(points):
-    """A medial axis (30, 2) from points, or a ValueError.
-
-    Thirty points at equal increments of height are taken as they are (the thirtieth lies one increment below the top,
-    as in :func:`inflate_lib.descriptors.medial_axis`). Any other points are the corners of a line from the bottom of
-    the shape to its top, on which the thirty are placed.
-    """
-    points = _points("axis", points)
-    if len(points) < 2:
-        raise ValueError(f"axis: two points at least are needed, from the bottom to the top, not {len(points)}")
-    rise = np.diff(points[:, 1])
-    if not np.all(rise > 0):
-        row = int(np.argmax(rise <= 0)) + 2
-        raise ValueError(f"axis: its points must rise from the bottom to the top; point {row} does not")
-    points = points - points[0]
-    if len(points) == AXIS_POINTS and np.ptp(rise) <= AGREE * rise.mean():
-        return points
-    y = points[-1, 1] * np.arange(AXIS_POINTS) / AXIS_POINTS
-    return np.column_stack([np.interp(y, points[:, 1], points[:, 0]), y])
 
 
 def _read_axis(path):
@@ -213,7 +175,7 @@ def _read_axis(path):
     Raises
     ------
     ValueError
-        Naming the file and the line, where it is something else; see also :func:`_check_axis`.
+        Naming the file and the line, where it is something else; see :func:`.descriptors.shape.check_axis`.
     """
     path = Path(path)
     try:
@@ -231,7 +193,7 @@ def _read_axis(path):
             raise ValueError(f"{path}, line {number}: two numbers x,y are needed, not {','.join(row)!r}") from None
         points.append((x, y))
     try:
-        return _check_axis(np.reshape(points, (-1, 2)))
+        return check_axis("axis", np.reshape(points, (-1, 2)))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -254,30 +216,6 @@ def deviations(targets, shape):
         name: float(get_descriptor(name).error.share(shape.vector(name), targets.vector(name)))
         for name in targets.asked
     }
-
-
-def _vector(name, value):
-    """The target (N,) of a descriptor that was registered, or a ValueError."""
-    components = get_descriptor(name).length
-    try:
-        vector = np.ravel(np.asarray(value, dtype=float))
-    except (TypeError, ValueError):
-        vector = np.empty(0)
-    if vector.size != components or not np.isfinite(vector).all():
-        raise ValueError(f"{name} must be {components} finite number{'s' * (components > 1)}, not {value!r}")
-    return vector
-
-
-def _points(name, points):
-    try:
-        points = np.array(points, dtype=float)
-    except (TypeError, ValueError, RuntimeError):
-        points = np.empty(0)
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise ValueError(f"{name}: points of shape (k, 2) are needed")
-    if not np.isfinite(points).all():
-        raise ValueError(f"{name}: some coordinates are NaN or infinite")
-    return points
 
 
 def _crosses_itself(points):

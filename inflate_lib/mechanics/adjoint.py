@@ -14,11 +14,11 @@ That the pressure then acts on another side of the pixel plays next to no part: 
 a pressure does as much work on one side of such an element as on the other.
 """
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import ConvexHull
 
 from inflate_lib.mechanics import _kernels
 from inflate_lib.mechanics.inflation import assemble, build_system
@@ -27,17 +27,18 @@ from inflate_lib.structures.labels import THICKNESS, VOID, WALL
 if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
 
-DIFFERENTIABLE = ("height", "width", "area")  # descriptors that have a sensitivity here
 _SQUARE = np.ones((2 * THICKNESS + 1, 2 * THICKNESS + 1))  # that the cavity is grown by to get the wall
 
 
-def sensitivities(result: "Inflation", name: str, step: int = -1) -> np.ndarray:
-    """Derivatives of a descriptor with respect to the share of each element's energy.
+def sensitivities(result: "Inflation", gradient: Callable[[np.ndarray], np.ndarray], step: int = -1) -> np.ndarray:
+    """Derivatives of a quantity, such as a descriptor, with respect to the share of each element's energy.
 
     Parameters
     ----------
     result : Inflation
-    name : {"height", "width", "area"}
+    gradient : callable
+        ``gradient(nodes)`` → (n, 2), ∂h/∂x at deformed nodes (n, 2): the attribute of that name of a
+        :class:`inflate_lib.descriptors.Descriptor`.
     step : int
         Load step, which must have converged.
 
@@ -49,12 +50,12 @@ def sensitivities(result: "Inflation", name: str, step: int = -1) -> np.ndarray:
     Raises
     ------
     ValueError
-        For another descriptor, without an equilibrium, or where that is not stable, so that K is not positive definite.
+        Without an equilibrium, or where that is not stable, so that K is not positive definite.
     """
     deformed = result.deformed(step)
     if not np.isfinite(deformed).all():
         raise ValueError(f"the structure has no equilibrium to differentiate: {result.reason}")
-    load = _descriptor_gradient(deformed, name)
+    load = gradient(deformed)
     system = build_system(result.mesh, result.element, result.lame)
     state = assemble(system, deformed, result.pressures[step])
     if _kernels.factorise(system.pattern, state.tangent, state.inverses) < len(system.order):
@@ -69,27 +70,6 @@ def sensitivities(result: "Inflation", name: str, step: int = -1) -> np.ndarray:
 
     forces = system.stiffness[system.kind] @ state.corners + np.einsum("mq,mqai->mai", state.slope, state.c)
     return -np.sum(adjoint * forces, axis=(1, 2))
-
-
-def _descriptor_gradient(nodes, name):
-    """∂h/∂x, (n, 2), of the descriptor of deformed nodes. Extents follow the two nodes in which they are attained."""
-    gradient = np.zeros_like(nodes)
-    if name == "area":
-        hull = ConvexHull(nodes).vertices
-        gradient[hull] = _area_gradient(nodes[hull])
-    elif name in DIFFERENTIABLE:
-        direction = 1 if name == "height" else 0
-        gradient[nodes[:, direction].argmax(), direction] = 1
-        gradient[nodes[:, direction].argmin(), direction] = -1
-    else:
-        raise ValueError(f"there are sensitivities of {', '.join(DIFFERENTIABLE)}, not of {name!r}")
-    return gradient
-
-
-def _area_gradient(corners):
-    """Derivative of the area of polygons (…, k, 2), counter-clockwise, with respect to their corners."""
-    across = (np.roll(corners, -1, axis=-2) - np.roll(corners, 1, axis=-2)) / 2
-    return np.stack([across[..., 1], -across[..., 0]], axis=-1)
 
 
 def flip_changes(label, sensitivity):

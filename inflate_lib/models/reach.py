@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from inflate_lib.descriptors import PARTS, axis_height, basic, descriptor_matrix, get_descriptor
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.descriptors.registry import OWN, basic, implied, registered
 
 FILE = "reach.npz"  # beside the weights
 AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
 _REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
-SIZES = ("height", "width", "area")  # what an axis also says something about
 
 
 def reach_of(data):
@@ -26,8 +26,8 @@ def reach_of(data):
 def save_reach(data, folder: Path) -> Path:
     """Write the table of a data set beside the weights in a folder, in 32 bits."""
     file = Path(folder) / FILE
-    table = reach_of(data)
-    np.savez_compressed(file, **{one.variable: table[one.variable].values.astype(np.float32) for one in _stored()})
+    table = reach_of(data).drop_vars("converged")
+    np.savez_compressed(file, **{name: values.values.astype(np.float32) for name, values in table.items()})
     return file
 
 
@@ -44,8 +44,9 @@ def load_reach(folder: Path):
     file = Path(folder) / FILE
     try:
         with np.load(file, allow_pickle=False) as stored:
+            known = [one for one in basic() if one.name in OWN or one.variable in stored]
             table = xr.Dataset(
-                {one.variable: (("structure", *one.sizes), stored[one.variable].astype(float)) for one in _stored()}
+                {one.variable: (("structure", *one.sizes), stored[one.variable].astype(float)) for one in known}
             )
         return table.assign(converged=("structure", np.ones(table.sizes["structure"], dtype=bool)))
     except (OSError, ValueError, KeyError, EOFError) as error:
@@ -73,48 +74,58 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
         miss = np.max([get_descriptor(name).error.share(values[name], wanted[name]) for name in wanted], axis=0)
         problem = _contradiction(wanted)
     nearest = int(np.argmin(miss))
-    scalars = [one.name for one in basic() if one.name in wanted and one.length == 1]
-    for name in scalars:
-        value, least, most = wanted[name][0], values[name].min() * (1 - AGREE), values[name].max() * (1 + AGREE)
-        if not problem and not least <= value <= most:
-            problem = f"{name} {value:.4g} is out of reach"
+    lines = [name for name in wanted if get_descriptor(name).is_line]
+    numbers = [name for name in wanted if name not in lines]
+    asked = _by_component(numbers, wanted)
+    for label, reached in _by_component(numbers, values).items():
+        least, most = reached.min(), reached.max()
+        if not problem and not least - AGREE * abs(least) <= asked[label] <= most + AGREE * abs(most):
+            problem = f"{label} {asked[label]:.4g} is out of reach"
     if not problem and miss[nearest] > _REACH:
-        together = "together they" if scalars or len(wanted) > 1 else f"the {next(iter(wanted))}"
+        together = "together they" if numbers or len(wanted) > 1 else f"the {next(iter(wanted))}"
         problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
     if not problem:
         return
-    shown = [one.name for one in basic() if one.name in scalars or (one.name in SIZES and "axis" in wanted)]
-    ranges = {name: descriptor_matrix(data, name) for name in shown}
-    reach = ", ".join(f"{name} {v.min():.3f} to {v.max():.3f}" for name, v in ranges.items())
-    if len(wanted) == 1 and scalars:
-        (name,) = scalars
-        there = f"{name} {np.clip(wanted[name][0], values[name].min(), values[name].max()):.3f}"
-    else:
-        there = ", ".join(f"{name} {v[nearest, 0]:.3f}" for name, v in ranges.items())
-        if "axis" in wanted:
-            lean = np.abs(values["axis"][nearest].reshape(-1, 2)[:, 0]).max()
-            there += f" and an axis that moves {lean:.3f} sideways"
+    spoken_of = {*numbers, *(other for name in lines for other in get_descriptor(name).bounds)}
+    shown = {one.name: descriptor_matrix(data, one.name) for one in basic() if one.name in spoken_of}
+    reach = {label: (reached, reached[nearest]) for label, reached in _by_component(shown, shown).items()}
+    if len(asked) == 1 and not lines:
+        ((label, value),) = asked.items()
+        reach[label] = reach[label][0], np.clip(value, reach[label][0].min(), reach[label][0].max())
+    there = [f"{label} {value:.3f}" for label, (_, value) in reach.items()]
+    there += [f"{name} ({np.abs(values[name][nearest, ::2]).max():.3f} sideways)" for name in lines]
+    ranges = [f"{label} {reached.min():.3f} to {reached.max():.3f}" for label, (reached, _) in reach.items()]
     raise ValueError(
-        f"{problem}. The {len(miss)} inflated structures of the data set reach {reach}; the nearest reachable target "
-        f"is {there}."
+        f"{problem}. The {len(miss)} inflated structures of the data set reach {', '.join(ranges) or 'others'}; the "
+        f"nearest reachable target is {', '.join(there)}."
     )
 
 
 def _contradiction(wanted: Mapping[str, np.ndarray]) -> str:
     """Why no shape at all can meet what :func:`check_reach` takes, or an empty text."""
-    height, width, area = (wanted[name][0] if name in wanted else np.nan for name in SIZES)
-    if "axis" in wanted:
-        axis = wanted["axis"].reshape(-1, 2)
-        height = axis_height(axis) if np.isnan(height) else height
-        if abs(axis_height(axis) / height - 1) > AGREE:
-            return f"height {height:.4g} contradicts the axis, which belongs to height {axis_height(axis):.4g}"
-        if (span := np.ptp(axis[:, 0])) > width:
-            return f"width {width:.4g} contradicts the axis, which alone is {span:.4g} wide"
-    if area > height * width * (1 + AGREE):
-        return f"area {area:.4g} is larger than the box of height {height:.4g} and width {width:.4g}"
+    known = {**implied(wanted), **wanted}
+    for one in registered():
+        if not set(one.parts) <= set(known):
+            continue
+        vector = np.concatenate([known[part] for part in one.parts])
+        giver = f"the {one.name}" if one.is_line else " and ".join(f"{part} {known[part][0]:.4g}" for part in one.parts)
+        for name, bound in one.bounds.items():
+            if name not in wanted:
+                continue
+            (value,), (least, most) = wanted[name], bound(vector)
+            if least * (1 - AGREE) <= value <= most * (1 + AGREE):
+                continue
+            limit = least if value < least else most
+            word = "" if least == most else "at least " if value < least else "at most "
+            return f"{name} {value:.4g} contradicts {giver}, with which it is {word}{limit:.4g}"
     return ""
 
 
-def _stored():
-    """The descriptors whose values are stored, the library's own."""
-    return [get_descriptor(part) for part in PARTS]
+def _by_component(names, values):
+    """Values (…, N) of descriptors as one of each component, by what it is called in a message."""
+    components = {name: get_descriptor(name).components for name in names}
+    return {
+        f"{name} {component}" if len(components[name]) > 1 else name: values[name][..., k]
+        for name in names
+        for k, component in enumerate(components[name])
+    }

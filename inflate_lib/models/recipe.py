@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from inflate_lib import paths
 from inflate_lib._checks import choice, number, positive_number, share, whole_number
 from inflate_lib._yaml import read_yaml
-from inflate_lib.descriptors import get_descriptor
+from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
 
 if TYPE_CHECKING:
     from inflate_lib.diffusion import TrainingConfig
@@ -116,7 +116,7 @@ class Recipe:
             changes[name] = {**getattr(self, name), **_options(name, changes[name])}
         recipe = replace(self, **changes)
         if recipe.training != self.training:
-            recipe.config("height")
+            recipe.config(DESCRIPTORS[0])
         return recipe
 
     def config(self, descriptor: str) -> "TrainingConfig":

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from inflate_lib.diffusion import TrainedModel, TrainingConfig, _storage, train
+from inflate_lib.diffusion import TrainedModel, TrainingConfig, storage, train
 from inflate_lib.diffusion.training import choose_device, simple_loss
 from inflate_lib.structures.augmentation import apply_variants, augment_descriptors
 
@@ -63,7 +63,7 @@ def write_pack(
         arrays |= {f"{name}.{part}": model[part] for part in ("seen", "mirrored", "unseen")}
         content[name] = {"config": model["config"].as_dict(), "about": model["about"]}
     tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
-    _storage.write(path, "pack", tensors, content)
+    storage.write(path, "pack", tensors, content)
 
 
 def _train_pack(path: Path, name: str, out: Path, device: str = "auto", compile: bool = False, threads=None) -> Path:
@@ -80,7 +80,7 @@ def _train_pack(path: Path, name: str, out: Path, device: str = "auto", compile:
         There is no such pack, or it is damaged, or has no such model; and all errors of
         :func:`inflate_lib.diffusion.train`.
     """
-    tensors, models = _storage.read(path, "pack")
+    tensors, models = storage.read(path, "pack")
     if name not in models:
         raise ValueError(f"{path} has no model {name!r}; it has {', '.join(models)}")
     arrays = {key: tensor.numpy() for key, tensor in tensors.items()}
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--threads", type=int, help="CPU threads of each")
     given = parser.parse_args(arguments)
     try:
-        names = given.only or list(_storage.read(given.pack, "pack")[1])
+        names = given.only or list(storage.read(given.pack, "pack")[1])
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         alone = choose_device(given.device).type == "mps"
         jobs = max(1, given.jobs or min(len(names), 1 if alone else cores))

@@ -15,7 +15,7 @@ from joblib import Parallel, delayed, effective_n_jobs
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
-from inflate_lib.diffusion import _ranks, train
+from inflate_lib.diffusion import ranks, train
 from inflate_lib.diffusion.training import choose_device
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.remote import train_and_test, write_pack
@@ -78,20 +78,20 @@ def trained_model_file(
     config, pairs = recipe.config(descriptor), training_set(descriptor, recipe, data)
 
     def make(target, scratch):
-        _ranks.share(True)  # now the other processes train as well
+        ranks.share(True)  # now the other processes train as well
         told = pairs.about | {"mean": pairs.mean}
         what = f"training {descriptor}"
         train_and_test(pairs.pairs, pairs.unseen, config, told, scratch, what, threads, log).save(target)
 
-    if _ranks.rank() > 0:
-        while _ranks.share():
+    if ranks.rank() > 0:
+        while ranks.share():
             train(*pairs.pairs, config, threads=threads)
         return None
     matrix = descriptor_matrix(data, descriptor)
     descriptors_now = digest(matrix, get_descriptor(descriptor).mirrored(matrix))
     key = pairs.about | {"training": config.recipe(), "descriptors": descriptors_now, "code": step_version("model")}
     path = cached("model", key, make, ".safetensors")
-    _ranks.share(False)
+    ranks.share(False)
     return path
 
 
@@ -144,10 +144,10 @@ def training_cost(names: Sequence[str], recipe: Recipe, data, steps: int = 200) 
 def _side_by_side(task, names, training):
     """``task(name, threads)`` for each name, as many at a time as the device bears."""
     jobs = _jobs(names, training)
-    threads = max(1, effective_n_jobs(-1) // (jobs * _ranks.world()))
+    threads = max(1, effective_n_jobs(-1) // (jobs * ranks.world()))
     return Parallel(n_jobs=jobs)(delayed(task)(name, threads) for name in names)
 
 
 def _jobs(names, training):
-    alone = choose_device(training.get("device", "auto")).type == "mps" or _ranks.world() > 1
+    alone = choose_device(training.get("device", "auto")).type == "mps" or ranks.world() > 1
     return 1 if alone else min(len(names), effective_n_jobs(-1))

@@ -12,9 +12,10 @@ import numpy as np
 from inflate_lib import paths
 from inflate_lib._checks import whole_number
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.descriptors import columns, get_descriptor, joint_conditions, name_of
+from inflate_lib.descriptors import get_descriptor
+from inflate_lib.descriptors.registry import columns, name_of
 from inflate_lib.diffusion import TrainedModel, generate
-from inflate_lib.diffusion._random import seed_for
+from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.models import RETRAIN, reach
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import Recipe
@@ -98,7 +99,7 @@ class Model:
         """What the network is told, (m, ·), to get targets (m, N) of a descriptor."""
         calibration = self.calibrations.get(descriptor)
         told = targets if calibration is None else calibration.told(targets)
-        return joint_conditions(descriptor, told) if self.trained.config.parts else told
+        return get_descriptor(self.name).conditions(descriptor, told) if self.trained.config.parts else told
 
     def sampled(self, **changes: Any) -> "Model":
         """The same model with other options of sampling, for which it is not calibrated."""

@@ -4,11 +4,12 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from inflate_lib.descriptors import get_descriptor, registered
+from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
+from inflate_lib.descriptors.registry import registered
 from inflate_lib.mechanics import stress
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.plotting.mechanics import STRETCH_MAP
-from inflate_lib.plotting.structures import draw_inflated, draw_label
+from inflate_lib.plotting.structures import draw_inflated, draw_label, same_scale
 from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure, picture_axes
 
 
@@ -36,29 +37,24 @@ def plot_designs(designs, columns=6, colour=None):
     if not designs.designs:
         axes[0, 0].set_title("no structure was found")
         return fig
-    deformed = [one.result.deformed() for one in designs.designs]
-    wide = 1.12 * max([*(np.ptp(nodes[:, 0]) for nodes in deformed), designs.targets.vector("width")[0]], key=_known)
-    tall = 1.06 * max([*(nodes[:, 1].max() for nodes in deformed), designs.targets.vector("height")[0]], key=_known)
-    styles = [{}] * len(deformed)
+    styles = [{}] * len(designs.designs)
     if colour:
         function, label, at_rest = QUANTITIES[colour]
         values = [getattr(stress, function)(one.result)[-1] for one in designs.designs]
         norm = Normalize(at_rest, np.concatenate(values).max())
         common = {"colour": None, "edge": "face", "norm": norm, "cmap": STRETCH_MAP}
         styles = [common | {"array": array} for array in values]
-    for number, (one, nodes, style) in enumerate(zip(designs.designs, deformed, styles, strict=True)):
+    for number, (one, style) in enumerate(zip(designs.designs, styles, strict=True)):
         row, column = divmod(number, columns)
         above, below = axes[2 * row, column], axes[2 * row + 1, column]
         draw_label(above, one.label)
         above.set_title(f"{number + 1}" + ("" if one.within else "  (missed)"), loc="left")
-        draw_inflated(below, one.result, ghost=False, **style)
+        nodes = draw_inflated(below, one.result, ghost=False, **style)
         _draw_targets(below, designs.targets, nodes)
-        middle = (nodes[:, 0].min() + nodes[:, 0].max()) / 2
-        bottom = min(nodes[:, 1].min(), 0) - 0.08
-        below.set(xlim=(middle - wide / 2, middle + wide / 2), ylim=(bottom, tall))
         misses = [f"{get_descriptor(name).symbol} {100 * value:.2f} %" for name, value in one.deviations.items()]
         lines = [", ".join(misses[start : start + 2]) for start in range(0, len(misses), 2)]
         below.set_xlabel("\n".join([*lines, f"σ/μ {one.shape.peak_stress / one.result.lame[1]:.2f}"]), fontsize=7)
+    same_scale(axes[1::2])
     if colour:
         fig.colorbar(ScalarMappable(norm, STRETCH_MAP), ax=axes[1::2], label=label, shrink=0.8, aspect=20)
     return fig
@@ -67,8 +63,8 @@ def plot_designs(designs, columns=6, colour=None):
 def _draw_targets(ax, targets, nodes):
     """What was asked for, drawn over an inflated structure with deformed nodes (n, 2).
 
-    An outline as it is, in place of the sizes that were measured on it; else each as its descriptor says: height and
-    width as lines or, both together, as a box; an axis with its points. An area has no place in the picture.
+    An outline as it is, in place of the sizes that were measured on it; else each as its descriptor says, and what is
+    put together from several in place of those: a box for height and width.
     """
     (left, bottom), (right, _) = nodes.min(axis=0), nodes.max(axis=0)
     middle = (left + right) / 2
@@ -78,14 +74,10 @@ def _draw_targets(ax, targets, nodes):
         closed = np.vstack([targets.outline, targets.outline[:1]])
         shift = [middle - (closed[:, 0].min() + closed[:, 0].max()) / 2, bottom]
         ax.plot(*(closed + shift).T, **style)
-        names = [name for name in names if get_descriptor(name).is_line or name in targets.others]
+        names = [name for name in names if get_descriptor(name).is_line or name not in DESCRIPTORS]
     for one in registered():  # what is put together takes the place of its parts
         if not one.is_basic and set(one.parts) <= set(names):
             names = [one.name, *(name for name in names if name not in one.parts)]
     for name in names:
         if (draw := get_descriptor(name).draw) is not None:
             draw(ax, targets.vector(name), nodes, **style)
-
-
-def _known(value):
-    return -np.inf if np.isnan(value) else value

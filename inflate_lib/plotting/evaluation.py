@@ -2,18 +2,20 @@
 
 import numpy as np
 
-from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
+from inflate_lib.descriptors.registry import registered
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.plotting.style import COLOURS, figure, picture_axes
 
-_STYLES = {
-    "height": ("-", "o", COLOURS.wall),
-    "width": ("--", "^", COLOURS.target),
-    "box": ("-.", "s", COLOURS.medium),
-    "area": (":", "D", COLOURS.high),
-    "axis": ("-", "v", COLOURS.ink),
-}
-_OTHERS = ("-", "P", COLOURS.low)  # of descriptors that were registered
+# Markers and colours: of the paper's descriptors, then of all others in the order in which they were registered.
+_STYLES = (
+    ("o", COLOURS.wall),
+    ("^", COLOURS.target),
+    ("s", COLOURS.medium),
+    ("D", COLOURS.high),
+    ("v", COLOURS.ink),
+    ("P", COLOURS.low),
+)
 
 
 def plot_held_out(experiments):
@@ -129,7 +131,7 @@ def plot_selection(tables):
     fig, axes = figure(1, len(panels), height=6.4, squeeze=False)
     for ax, (shown, across, xlabel, ylabel) in zip(axes[0], panels, strict=True):
         for name, table in shown.items():
-            _, marker, colour = _STYLES.get(name, _OTHERS)
+            marker, colour = _style(name)
             for by, part in table.groupby("by"):
                 solid = by == "simulation"
                 part = part[np.isfinite(part["median"])]
@@ -190,6 +192,11 @@ def plot_surrogate(pairs):
         ax.set(title=f"{name} ${get_descriptor(name).symbol}$", xlabel="simulated", ylabel="predicted")
     axes[0].legend(loc="upper left")
     return fig
+
+
+def _style(descriptor):
+    order = list(dict.fromkeys([*DESCRIPTORS, *(one.name for one in registered())]))
+    return _STYLES[order.index(descriptor) % len(_STYLES)]
 
 
 def _distribution(ax, values):

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.animation import FuncAnimation
 
+from inflate_lib.descriptors.registry import basic
 from inflate_lib.plotting.structures import draw_clamped_edge, draw_inflated, draw_mesh
 from inflate_lib.plotting.style import COLOURS, HATCHES, figure, picture_axes
 
@@ -100,18 +101,18 @@ def plot_difference_steps(steps, errors):
 
 def plot_distributions(data):
     """Histograms of height, width and hull area of a data set, and a scatter of height over width."""
-    fig, axes = figure(1, 4, height=5.0)
-    names = ("height $h$", "width $w$", "hull area $A$")
-    for ax, name, title in zip(axes, ("height", "width", "hull_area"), names, strict=False):
-        values = data[name].values[data.converged.values]
+    sizes = [one for one in basic() if one.is_size and one.variable in data]
+    fig, axes = figure(1, len(sizes) + 1, height=5.0)
+    for ax, one in zip(axes, sizes, strict=False):
+        values = data[one.variable].values[data.converged.values]
         ax.hist(values, 40, color=COLOURS.wall, hatch=HATCHES[0], edgecolor="white", linewidth=0.3)
         ax.axvline(values.mean(), color=COLOURS.target, linestyle="--", linewidth=1.2)
         ax.set_title(f"mean {values.mean():.3f}", color=COLOURS.target)
-        ax.set_xlabel(title)
+        ax.set_xlabel(f"{one.title} ${one.symbol}$")
         ax.set_ylabel("structures")
-    axes[3].plot(data.width, data.height, ".", color=COLOURS.wall, markersize=1.5, alpha=0.4, rasterized=True)
-    axes[3].set_xlabel("width $w$")
-    axes[3].set_ylabel("height $h$")
+    axes[-1].plot(data.width, data.height, ".", color=COLOURS.wall, markersize=1.5, alpha=0.4, rasterized=True)
+    axes[-1].set_xlabel("width $w$")
+    axes[-1].set_ylabel("height $h$")
     return fig
 
 

@@ -5,9 +5,10 @@ import string
 import matplotlib.pyplot as plt
 import numpy as np
 
-from inflate_lib.descriptors import columns, describe, descriptor_matrix, get_descriptor, place_axis
+from inflate_lib.descriptors import describe, descriptor_matrix, get_descriptor
+from inflate_lib.descriptors.shape import place_axis
 from inflate_lib.mechanics.inflation import inflate
-from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label
+from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label, same_scale
 from inflate_lib.plotting.style import COLOURS, LEVELS, TEXT_WIDTH, figure, picture_axes
 
 MARKERS = ("o", "^", "s")
@@ -33,11 +34,7 @@ def plot_generated(experiment, descriptor, n_show=5):
     fig = plt.figure(figsize=(TEXT_WIDTH / 2.54, 5.0 * len(levels) / 2.54))
     pictures, distribution = fig.subfigures(1, 2, width_ratios=[n_show, 1.9])
     axes = pictures.subplots(2 * len(levels), n_show, height_ratios=[0.9, 1] * len(levels), squeeze=False)
-    extent = _extent(experiment)
     one = get_descriptor(descriptor)
-    if "width" in one.parts:  # its targets have to fit in as well
-        wide = experiment["target"].values[:, columns("width", one.parts)].max()
-        extent = max(extent[0], 1.05 * wide), extent[1]
     for k in levels:
         target = experiment["target"].values[level == k][0]
         for column, row in enumerate(_first_valid(experiment, k, n_show)):
@@ -52,12 +49,11 @@ def plot_generated(experiment, descriptor, n_show=5):
                 one.draw(below, target, deformed, color=COLOURS.target, linewidth=1.3, zorder=4)
             achieved = descriptor_matrix(experiment, descriptor)[row]
             below.set_xlabel(_words(achieved))
-            middle = (deformed[:, 0].min() + deformed[:, 0].max()) / 2
-            below.set(xlim=(middle - extent[0] / 2, middle + extent[0] / 2), ylim=(-0.08, extent[1]))
         first = axes[2 * k, 0]
         first.set_title(" ")  # makes room for the line below, which is wider than its column
         line = f"({string.ascii_lowercase[k]}) target ${one.symbol}$" + f" = {_words(target)}" * (len(target) <= 2)
         first.text(0, 1.06, line, transform=first.transAxes, fontsize="medium").set_in_layout(False)
+    same_scale(axes[1::2])
     _plot_achieved(distribution.subplots(), experiment, one)
     return fig
 
@@ -78,7 +74,6 @@ def plot_generated_axes(experiment, n_show=3):
     level = experiment["level"].values
     levels = np.unique(level)
     fig, axes = figure(len(levels), 2 * n_show, width=TEXT_WIDTH, height=3.6 * len(levels), squeeze=False)
-    extent = _extent(experiment)
     for k in levels:
         target = experiment["target"].values[level == k][0].reshape(-1, 2)
         for column, row in enumerate(_first_valid(experiment, k, n_show)):
@@ -93,9 +88,8 @@ def plot_generated_axes(experiment, n_show=3):
             right.collections[0].set_alpha(0.45)
             draw_axis(right, place_axis(describe(result).medial_axis, deformed), colour=COLOURS.ink, size=2.0)
             right.plot(*place_axis(target, deformed).T, color=COLOURS.target, linestyle="--", linewidth=1.6, zorder=4)
-            middle = (deformed[:, 0].min() + deformed[:, 0].max()) / 2
-            right.set(xlim=(middle - extent[0] / 2, middle + extent[0] / 2), ylim=(-0.08, extent[1]))
         axes[k, 0].set_title(f"axis {k + 1}", loc="left")
+    same_scale(axes[:, 1::2])
     axes[0, 1].plot([], [], "o-", color=COLOURS.ink, markersize=2, label="achieved")
     axes[0, 1].plot([], [], "--", color=COLOURS.target, label="target")
     fig.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
@@ -166,14 +160,6 @@ def _first_valid(experiment, level, n):
     """Row numbers of the first n valid structures of a target, None where there are fewer."""
     rows = np.flatnonzero((experiment["level"].values == level) & experiment["valid"].values)[:n].tolist()
     return rows + [None] * (n - len(rows))
-
-
-def _extent(experiment):
-    """Width and height that every inflated structure of an experiment fits in."""
-    valid = experiment["valid"].values
-    if not valid.any():
-        return 1.2, 1.2
-    return 1.05 * experiment["width"].values[valid].max(), max(1.0, 1.08 * experiment["height"].values[valid].max())
 
 
 def _words(values):

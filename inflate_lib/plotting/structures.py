@@ -9,7 +9,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Rectangle
 from scipy.spatial import ConvexHull
 
-from inflate_lib.descriptors import axis_height, get_descriptor, place_axis
+from inflate_lib.descriptors import get_descriptor
+from inflate_lib.descriptors.shape import axis_height, place_axis
 from inflate_lib.plotting.style import COLOURS, HATCHES, LEVELS, LINE_STYLES, figure, picture_axes
 
 _LABEL_COLOURS = ListedColormap(["white", COLOURS.wall, COLOURS.void])
@@ -36,6 +37,18 @@ def draw_inflated(ax, result, step=-1, ghost=True, **style):
     draw_mesh(ax, deformed, result.cells, **style)
     draw_clamped_edge(ax, result.mesh)
     return deformed
+
+
+def same_scale(axes, room=0.06):
+    """Give pictures one scale, by which whatever is drawn in any of them has its place, and some room around it."""
+    drawn = [ax for ax in np.ravel(axes) if ax.has_data()]
+    if not drawn:
+        return
+    wide, low = max(ax.dataLim.width for ax in drawn) + room, min(ax.dataLim.y0 for ax in drawn) - room
+    high = max(ax.dataLim.y1 for ax in drawn) + room
+    for ax in drawn:
+        middle = (ax.dataLim.x0 + ax.dataLim.x1) / 2
+        ax.set(xlim=(middle - wide / 2, middle + wide / 2), ylim=(low, high))
 
 
 def draw_clamped_edge(ax, mesh):

@@ -31,7 +31,7 @@ class Brightness(nn.Module):
 
 @pytest.fixture
 def trained():
-    return Surrogate(Brightness(), np.zeros(63), np.ones(63), 0.0)
+    return Surrogate(Brightness(), "height+width+area+axis", np.zeros(63), np.ones(63), 0.0)
 
 
 @pytest.fixture(params=["epsilon", "v"])

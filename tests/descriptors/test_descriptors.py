@@ -9,7 +9,8 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from inflate_lib import describe, inflate
-from inflate_lib.descriptors import AXIS_POINTS, DESCRIPTORS, Descriptors, descriptor_matrix, get_descriptor, hull_sides
+from inflate_lib.descriptors import DESCRIPTORS, Descriptors, descriptor_matrix, get_descriptor
+from inflate_lib.descriptors.shape import AXIS_POINTS, hull_sides
 
 numbers = st.floats(-5, 5).map(lambda x: round(x, 6))
 clouds = st.lists(st.tuples(numbers, numbers), min_size=3, max_size=40).map(np.array)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import torch
 
-from inflate_lib.diffusion import TrainedModel, TrainingConfig, _storage, generate, process, train
+from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, process, storage, train
 from inflate_lib.diffusion._logs import Log
-from inflate_lib.diffusion._loop import CHECKPOINT
-from inflate_lib.diffusion._random import random_generator
+from inflate_lib.diffusion.loop import CHECKPOINT
+from inflate_lib.diffusion.randomness import random_generator
 from inflate_lib.diffusion.training import _Run, choose_device, losses_in_time
 
 TINY = {"channels": (4, 8), "embedding": 16, "hidden": 8, "batch_size": 8, "learning_rate": 1e-3}
@@ -79,7 +79,7 @@ def test_a_finished_run_is_not_repeated(tmp_path, monkeypatch):
 CHILD = """
 import os, resource, signal, sys
 sys.path.insert(0, sys.argv[2])
-from test_training import config, data, die, _storage, train, TINY
+from test_training import config, data, die, storage, train, TINY
 from inflate_lib.diffusion.training import _Run
 
 {}
@@ -88,16 +88,16 @@ train(*data(), config(learning_rate_decay="cosine"), sys.argv[1], progress=False
 DEATHS = {
     "before the first checkpoint": "die(_Run, 'advance', lambda run: run.step == 5)",
     "with half a checkpoint written": """
-save = _storage.save
-_storage.save = lambda *content, **more: save(*content, **more)[:1000]  # the first part of the bytes reaches the disk
+save = storage.save
+storage.save = lambda *content, **more: save(*content, **more)[:1000]  # the first part of the bytes reaches the disk
 die(os, 'fsync', lambda file: True)""",
     "before the new checkpoint is in place": "die(os, 'replace', lambda old, new: True)",
     "with half of the second written": """
-save, saved = _storage.save, []
+save, saved = storage.save, []
 def cut(*content, **more):
     saved.append(0)
     return save(*content, **more)[: 1000 if len(saved) == 2 else None]
-_storage.save = cut
+storage.save = cut
 die(os, 'fsync', lambda file: len(saved) == 2)""",
     "in the last step": "die(_Run, 'advance', lambda run: run.step == 23)",
 }
@@ -127,7 +127,7 @@ def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tmp_path):
         ended = child(tmp_path, preparation)
         assert ended.returncode == -signal.SIGKILL, (moment, ended.stderr)
         there = (tmp_path / CHECKPOINT).exists()
-        reached.append(_storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] if there else 0)
+        reached.append(storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] if there else 0)
     assert reached == [0, 0, 0, 8, 16]  # the last checkpoint that was whole
     killed = train(*data(), config(learning_rate_decay="cosine"), tmp_path, progress=False, threads=1)
     whole = train(*data(), config(learning_rate_decay="cosine"), progress=False, threads=1)
@@ -153,7 +153,7 @@ die(_Run, 'advance', full)"""
     assert f"File too large at {kept}" in ended.stderr.splitlines()[-1]
     assert os.listdir(tmp_path) == [CHECKPOINT] * (step > 0)
     if step:
-        assert _storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == step
+        assert storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == step
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
@@ -177,7 +177,7 @@ def test_weights_that_are_lost_in_the_very_last_step_are_not_saved(tmp_path, mon
     monkeypatch.setattr(_Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
     with pytest.raises(FloatingPointError, match=r"weights are no longer finite after step 16"):
         train(*data(), config(), tmp_path, progress=False, threads=1)
-    assert _storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == 8
+    assert storage.read(tmp_path / CHECKPOINT, "checkpoint")[1]["step"] == 8
 
 
 def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monkeypatch):
@@ -194,7 +194,7 @@ def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monk
     monkeypatch.setattr(_Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
     with pytest.raises(FloatingPointError, match=r"loss became nan between steps 12 and 15.*last good state"):
         train(*data(), config(), tmp_path, progress=False, threads=1)
-    tensors, content = _storage.read(tmp_path / CHECKPOINT, "checkpoint")
+    tensors, content = storage.read(tmp_path / CHECKPOINT, "checkpoint")
     assert content["step"] == 8 and all(bool(torch.isfinite(v).all()) for v in tensors.values())
 
 
@@ -427,16 +427,16 @@ import json, os, sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from test_training import config, data, train
-from inflate_lib.diffusion import _ranks
+from inflate_lib.diffusion import ranks
 
-_ranks.start("cpu")
+ranks.start("cpu")
 folder = Path(sys.argv[1])
 first = train(*data(17), config(steps=12), folder / "first", progress=False, threads=1)
-(folder / f"rank{_ranks.rank()}.json").write_text(json.dumps([first.history, first.net.out.weight.norm().item()]))
+(folder / f"rank{ranks.rank()}.json").write_text(json.dumps([first.history, first.net.out.weight.norm().item()]))
 resumed = train(*data(17), config(), folder / "cut", progress=False, threads=1)
 norm = resumed.net.out.weight.norm().item()
-(folder / f"resumed{_ranks.rank()}.json").write_text(json.dumps([resumed.history, norm]))
-_ranks.finish()
+(folder / f"resumed{ranks.rank()}.json").write_text(json.dumps([resumed.history, norm]))
+ranks.finish()
 """
 
 

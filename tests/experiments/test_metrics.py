@@ -12,8 +12,8 @@ from sklearn.metrics import r2_score
 from inflate_lib import paths
 from inflate_lib.alternatives.best_of import _weighted_quantile, best_of, chances, selection
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.descriptors import mirror_axis
-from inflate_lib.descriptors.errors import _hausdorff, _point_distances
+from inflate_lib.descriptors.distances import _hausdorff, _point_distances
+from inflate_lib.descriptors.shape import mirror_axis
 from inflate_lib.experiments.metrics import bootstrap, errors, misses, r_squared
 from inflate_lib.experiments.run import judge
 from inflate_lib.experiments.tables import (

@@ -13,7 +13,8 @@ from scipy import ndimage
 from inflate_lib import describe, design, inflate, label_image, paths
 from inflate_lib.cli import app
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.descriptors import PARTS, get_descriptor
+from inflate_lib.descriptors import get_descriptor
+from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.inverse import refine as refining
 from inflate_lib.inverse import search as searching
@@ -259,7 +260,7 @@ def _lefts(one):
 
 
 def test_a_symmetric_structure_has_an_upright_axis(search):
-    with pytest.raises(ValueError, match=r"leans by 0.*leave out --symmetric"):
+    with pytest.raises(ValueError, match=r"the axis asked for is 0.* away from being so: leave out --symmetric"):
         search({"axis": [(0, 0), (0.3, 0.9)]}, constraints=Constraints(symmetric=True))
 
 

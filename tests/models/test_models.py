@@ -18,7 +18,8 @@ from inflate_lib import paths
 from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import held_out
-from inflate_lib.descriptors import DESCRIPTORS, PHYSICAL, descriptor_matrix, get_descriptor, joint_conditions
+from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
+from inflate_lib.descriptors.registry import PHYSICAL
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.training import simple_loss
 from inflate_lib.models import RETRAIN, train, weights
@@ -75,11 +76,11 @@ def test_the_joint_descriptor_holds_the_others_side_by_side(data):
     assert joint.shape == (40, 65)
     lengths = {name: get_descriptor(name).length for name in (*DESCRIPTORS, *PHYSICAL)}
     for name in lengths:
-        told = joint_conditions(name, descriptor_matrix(data, name))
+        told = get_descriptor("joint").conditions(name, descriptor_matrix(data, name))
         asked = ~np.isnan(told)
         assert asked.sum(1).tolist() == [lengths[name]] * 40
         np.testing.assert_array_equal(told[asked], joint[asked])
-    np.testing.assert_array_equal(joint_conditions("joint", joint), joint)
+    np.testing.assert_array_equal(get_descriptor("joint").conditions("joint", joint), joint)
     conditions = TrainingSet(data, "joint", 100).pairs[1]
     heights, axes = TrainingSet(data, "height", 100).pairs[1], TrainingSet(data, "axis", 100).pairs[1]
     np.testing.assert_array_equal(conditions[:, [0]], heights)

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflate_lib.descriptors import describe, get_descriptor, mirror_axis
+from inflate_lib.descriptors import describe, get_descriptor
+from inflate_lib.descriptors.shape import mirror_axis
 from inflate_lib.structures.augmentation import (
     PAPER_SAMPLES,
     _allowed_variants,

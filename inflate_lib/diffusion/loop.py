@@ -13,9 +13,9 @@ import torch
 from torch import Tensor, nn
 
 from inflate_lib._progress import Progress
-from inflate_lib.diffusion import _ranks, _storage
+from inflate_lib.diffusion import ranks, storage
 from inflate_lib.diffusion._logs import Log
-from inflate_lib.diffusion._random import random_generator
+from inflate_lib.diffusion.randomness import random_generator
 
 CHECKPOINT = "checkpoint.safetensors"
 WARMUP = 50  # steps, of :func:`fit`
@@ -98,7 +98,7 @@ class Loop:
         ``history.csv`` and TensorBoard events.
         """
         self.resume()
-        first, report, rows = _ranks.rank() == 0, None, None
+        first, report, rows = ranks.rank() == 0, None, None
         if first and progress is not False:
             report = Progress(progress if isinstance(progress, str) else "training", self.total, "steps", self.step)
         if first and log is not None:
@@ -127,7 +127,7 @@ class Loop:
             group["lr"] = self.rate()
         self.optimiser.zero_grad(set_to_none=False)  # a process without a row in this batch has a gradient, too
         losses = self.descend()
-        _ranks.add_up([*(p.grad for p in self.parameters), losses])
+        ranks.add_up([*(p.grad for p in self.parameters), losses])
         self.optimiser.step()
         with torch.no_grad():
             self.sums += losses
@@ -156,21 +156,21 @@ class Loop:
             raise self.lost(f"the weights are no longer finite after step {self.step}")
         content = {**self.identity, "step": self.step, "history": self.history, "seconds": self.seconds}
         try:
-            _storage.write(self.path, "checkpoint", tensors, content)
+            storage.write(self.path, "checkpoint", tensors, content)
         except OSError as error:
             kept = "the checkpoint before it is kept" if self.path.exists() else "there is no checkpoint yet"
             raise OSError(error.errno, f"{error.strerror} at step {self.step} ({kept})", str(self.path)) from error
 
     def resume(self) -> None:
         """Go on from the checkpoint; all processes take over what the first one read."""
-        if self.path is not None and self.path.exists() and _ranks.rank() == 0:
+        if self.path is not None and self.path.exists() and ranks.rank() == 0:
             self.restore()
-        _ranks.copy(list(self.state().values()), self.device)
-        self.step, self.history = _ranks.share((self.step, self.history))
+        ranks.copy(list(self.state().values()), self.device)
+        self.step, self.history = ranks.share((self.step, self.history))
 
     def restore(self) -> None:
         try:
-            tensors, content = _storage.read(self.path, "checkpoint")
+            tensors, content = storage.read(self.path, "checkpoint")
         except ValueError as error:
             raise ValueError(f"{error}; delete the file to start over") from None
         if {name: content.get(name) for name in self.identity} != self.identity:
@@ -178,7 +178,7 @@ class Loop:
                 f"{self.path} belongs to a run with another configuration or other data; "
                 "choose another folder, or delete the file to start over"
             )
-        _storage.fill(self.state(), tensors, self.path)
+        storage.fill(self.state(), tensors, self.path)
         self.step, self.history, self.seconds = (content[name] for name in ("step", "history", "seconds"))
 
     def spent(self) -> dict:
