@@ -1,10 +1,12 @@
 """ARCHITECTURE.md, the contract of imports and the reference speak of the library as it is."""
 
+import ast
 import inspect
 import pkgutil
 import re
 import tomllib
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +46,30 @@ def test_the_reference_has_every_package_that_is_no_command():
     listed = re.findall(r"^\.\. public:: inflate_lib\.(\w+)$", read("book/api.md"), flags=re.M)
     assert len(set(listed)) == len(listed)
     assert set(listed) == PACKAGES - {"cli"}
+
+
+def imported(path):
+    """Modules and names that a file of the library imports, in full, those inside functions as well."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{node.module}.{name.name}" for name in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+
+
+def test_a_module_with_an_underscore_is_for_its_own_package():
+    root = Path(inflate_lib.__file__).parent
+    private = re.compile(r"inflate_lib\.(\w+)(?:\.\w+)*\._\w+")
+    for path in root.rglob("*.py"):
+        own = path.relative_to(root).parts[0]
+        for name in imported(path):
+            found = private.match(name)
+            assert not found or found[1] == own or found[1].startswith("_"), f"{path.relative_to(root)} imports {name}"
+
+
+@pytest.mark.parametrize("name", sorted(PACKAGES - {"cli"}))
+def test_a_package_hands_on_a_handful(name):
+    assert len(import_module(f"inflate_lib.{name}").__all__) <= 13
 
 
 @pytest.mark.parametrize("name", sorted(PACKAGES - {"cli"}))

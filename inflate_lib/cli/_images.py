@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inflate_lib import mechanics
 from inflate_lib._checks import choice
 from inflate_lib._files import check_outputs, naming
 from inflate_lib.descriptors import describe
@@ -19,7 +20,6 @@ from inflate_lib.descriptors.registry import basic
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.pictures import PICTURES, in_one_line, read_images, with_ending
 from inflate_lib.io.vtk import vtk_files, write_vtk
-from inflate_lib.mechanics import _kernels
 from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, inflate, load_history
 from inflate_lib.mechanics.mesh import build_mesh
 from inflate_lib.mechanics.stress import QUANTITIES
@@ -173,7 +173,7 @@ def _record(name, file, image, note, options, alone):
         record["note"] = ", ".join(filter(None, (note, structure.note)))
         mesh = build_mesh(structure.domains, options.refine, options.clamped)
         parameters = {name: getattr(options, name) for name in ("n_steps", "element", "pressure", "lame")}
-        with naming(Path(_kernels.__file__).with_name("__pycache__")):  # where compiled code is kept
+        with naming(Path(mechanics.__file__).with_name("__pycache__")):  # where compiled code is kept
             result = inflate(mesh, **parameters)
         if options.moose is not None:
             case = moose.write_case(mesh, options.moose, name, **parameters)

@@ -24,8 +24,7 @@ import numpy as np
 from inflate_lib._checks import choice
 from inflate_lib._files import check_outputs, hand_out, hand_out_folder, naming
 from inflate_lib.io import _exodus
-from inflate_lib.mechanics._kernels import MAX_HALVINGS
-from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, load_history
+from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MAX_HALVINGS, MU, PRESSURE, load_history
 
 if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation

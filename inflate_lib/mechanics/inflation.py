@@ -33,6 +33,7 @@ from inflate_lib.mechanics.mesh import Mesh, build_mesh, check_mesh
 PRESSURE = 0.01  # internal pressure at t = 1: p(t) = PRESSURE · t
 WITH_POTENTIAL = ("mean-dilatation", "q1")  # elements whose equilibria are stationary points
 ELEMENTS = (*WITH_POTENTIAL, "stabilised")
+MAX_HALVINGS = _kernels.MAX_HALVINGS  # of a load step that does not converge
 
 _FACTORISATIONS = 1000, 100  # allowed in all, or per load step if that is more; MNIST's sevens take at most 228 in ten
 _SPEED = 1.25e9  # multiply-adds per second of the nominal core that turns a time limit into a number of factorisations

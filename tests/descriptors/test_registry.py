@@ -2,9 +2,11 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
 
-from inflate_lib import describe, design, inflate, label_image, load_sevens, simulate_dataset
+from inflate_lib import describe, design, inflate, label_image, load_sevens, paths, simulate_dataset
+from inflate_lib.alternatives.surrogate import train_surrogate
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.descriptors import DESCRIPTORS, Descriptor, descriptor_matrix, get_descriptor, register, registry
@@ -14,8 +16,12 @@ from inflate_lib.experiments.metrics import errors
 from inflate_lib.experiments.run import judge, run_experiment
 from inflate_lib.experiments.tables import accuracy, score, scores
 from inflate_lib.inverse import search
+from inflate_lib.inverse.constraints import Constraints
+from inflate_lib.mechanics.adjoint import sensitivities
+from inflate_lib.models.reach import check_reach, load_reach, save_reach
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.designs import plot_designs
+from inflate_lib.plotting.evaluation import plot_held_out, plot_selection
 from inflate_lib.plotting.results import plot_generated
 
 DIGITS = load_sevens("digits").images
@@ -26,6 +32,13 @@ FAST = {"sampler": "ddim", "steps": 2}
 def slenderness(shape):
     width, height = np.ptp(shape.nodes, axis=0)
     return height / width
+
+
+def follow_slenderness(nodes):
+    """Its derivative, by the quotient rule."""
+    height, width = (get_descriptor(name).gradient(nodes) for name in ("height", "width"))
+    h, w = np.ptp(nodes, axis=0)[::-1]
+    return height / w - h * width / w**2
 
 
 def draw_slenderness(ax, target, nodes, **style):
@@ -39,6 +52,10 @@ def lean(shape):
     return shape.nodes[shape.nodes[:, 1].argmax(), 0] - middle, np.ptp(shape.nodes[:, 0]) / 2
 
 
+def diagonal(shape):
+    return np.hypot(*np.ptp(shape.nodes, axis=0))
+
+
 def air(shape):
     start, end = np.moveaxis(shape.nodes[shape.result.mesh.pressure_edges], 1, 0)
     return np.sum(start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]) / 2
@@ -48,7 +65,7 @@ def air(shape):
 def own(monkeypatch):
     """Three descriptors; the registry, which lives as long as the process, forgets them afterwards."""
     monkeypatch.setattr(registry, "_registry", dict(registry._registry))
-    register(Descriptor("slenderness", "r", slenderness, draw=draw_slenderness))
+    register(Descriptor("slenderness", "r", slenderness, draw=draw_slenderness, gradient=follow_slenderness))
     register(Descriptor("lean", "l", lean, components=("top", "half"), unit="side", flip=lambda rows: rows * [-1, 1]))
     register(Descriptor("air", "V", air, unit="side²", of_nodes=False))
 
@@ -105,6 +122,7 @@ def test_it_goes_from_training_to_a_drawing(data, monkeypatch):
         {"slenderness": reached[2], "width": float(known["width"][2])}, 2, model=model, data=known,
         max_candidates=40, refine=2, n_jobs=1, say=None,
     )  # fmt: skip
+    assert found.table()["slenderness"][0] == pytest.approx(reached[2])
     assert found.designs[0].error < 1e-9 and set(found.designs[0].deviations) == {"slenderness", "width"}
     assert found.targets.as_dict()["slenderness"] == pytest.approx(reached[2])
     fig = plot_designs(found)
@@ -117,6 +135,45 @@ def test_it_goes_from_training_to_a_drawing(data, monkeypatch):
     for wrong in ("tall", np.nan, [1.0, 2.0], None):
         with pytest.raises(ValueError, match=r"slenderness must be 1 finite number|nothing is asked for"):
             design({"slenderness": wrong}, model=model, data=data)
+
+
+def test_a_design_follows_its_gradient():
+    """Only the ratio of pressure and stiffness matters: dr/ds for all elements together is −p dr/dp."""
+    label, h = label_image(DIGITS[5]), 1e-4
+    plus, minus = (describe(inflate(label, pressure=0.01 * (1 + e))).vector("slenderness")[0] for e in (h, -h))
+    derivatives = sensitivities(inflate(label), get_descriptor("slenderness").gradient)
+    assert derivatives.sum() == pytest.approx(-(plus - minus) / (2 * h), rel=1e-4)
+
+
+def test_what_it_says_about_others_is_held_against_them(data, tmp_path):
+    register(Descriptor("diagonal", "d", diagonal, unit="side", bounds={"height": lambda vector: (0, vector[0])}))
+    again = data.assign(diagonal=np.hypot(data["height"], data["width"]))
+    save_reach(again, tmp_path)
+    for known in (again, load_reach(tmp_path)):
+        with pytest.raises(ValueError, match=r"height 1.2 contradicts diagonal 1, with which it is at most 1\."):
+            check_reach({"diagonal": np.array([1.0]), "height": np.array([1.2])}, known)
+        with pytest.raises(
+            ValueError, match=r"lean half 9 is out of reach.* reach lean top .* lean half 0\.\d+ to 0\.\d+"
+        ):
+            check_reach({"lean": np.array([0.0, 9.0])}, known)
+    model = Model("lean", None, reach=data)
+    with pytest.raises(ValueError, match=r"a symmetric structure has the lean of its mirror image.* is 0.500 away"):
+        design({"lean": [0.1, 0.4]}, model=model, constraints=Constraints(symmetric=True))
+
+
+def test_a_surrogate_answers_with_it_and_figures_tell_it_apart(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "CACHE", tmp_path)
+    trained = train_surrogate(data, steps=2)
+    assert trained.answers == "height+width+area+axis+slenderness+lean"
+    assert trained.predict(DIGITS[:3], "lean").shape == (3, 2)
+    with pytest.raises(ValueError, match=r"answers with height, .* not air"):
+        trained.predict(DIGITS[:3], "air")
+    known = judge(DIGITS[:4], "air", np.array([[0.3]]), np.zeros(4, dtype=int), n_jobs=1)
+    assert plot_held_out({"air": known}).axes[0].get_title() == "air $V$"
+    rows = pd.DataFrame({"by": "simulation", "n": [1, 4], "median": [2.0, 1.0], "seconds": [1.0, 4.0]})
+    lines = plot_selection({"slenderness": rows, "air": rows}).axes[0].lines
+    assert len({(line.get_marker(), line.get_color()) for line in lines}) == 2
+    plt.close("all")
 
 
 def test_results_that_are_kept_know_which_descriptors_they_hold(monkeypatch):

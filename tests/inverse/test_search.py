@@ -328,7 +328,9 @@ def test_the_model_covers_what_is_asked(data, monkeypatch, tmp_path):
     def weights(name):
         n = {"joint": 65, "axis": 60, "box": 2}.get(name, 1)
         config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS if n == 65 else ())
-        model = TrainedModel(config.make_net(n), config, np.zeros(n), np.ones(n), metadata={"descriptor": name})
+        model = TrainedModel(
+            config.make_net(n), config, np.zeros(n), np.ones(n), metadata={"descriptor": name, "calibration": {}}
+        )
         model.save(tmp_path / "laptop" / f"{name}.safetensors")
 
     for name in ("height", "width", "area", "box", "axis"):
@@ -461,7 +463,7 @@ def test_too_few_designs_are_written_and_the_exit_code_says_so(run, data):
             ["--height", "3"],
             r"height 3 is out of reach. The 179 inflated structures of the data set reach height 0\.\d+",
         ),
-        (["--height", "1", "--width", "0.9", "--area", "1"], "larger than the box"),
+        (["--height", "1", "--width", "0.9", "--area", "1"], "contradicts height"),
         (["--axis", "axis.csv"], "axis.csv, line 2"),
         (["--outline", "cross.svg"], "cross.svg: outline: it crosses itself"),
         (["--outline", "empty.svg"], "empty.svg: the outline is empty"),
