@@ -142,7 +142,8 @@ class Study:
         chosen = self.best(answer, n, ranking)
         achieved = np.where(answer["valid"].values, answer[DESCRIPTOR].values, np.nan)[chosen]
         seconds = clock["generate"] + clock["surrogate" if by_surrogate else "simulate"]
-        self.add(control, f"best of {n}" if n > 1 else "one", achieved, n * seconds)
+        buildable = answer["buildable"].values[chosen]
+        self.add(control, f"best of {n}" if n > 1 else "one", achieved, buildable, n * seconds)
 
     def refined(self, control, answer, clock, n, order):
         """Add rows of the best of n, refined pixel by pixel."""
@@ -156,7 +157,8 @@ class Study:
             share = [min(1, tries / max(1, len(trace) - 1)) for trace in traces]
             seconds = n * (clock["generate"] + clock["simulate"]) + np.mean(np.multiply(share, spent))
             start = f"best of {n}" if n > 1 else "one"
-            self.add(control, f"{start}, then {tries} flips tried", achieved, seconds)
+            buildable = answer["buildable"].values[chosen]  # refinement keeps what can be built so
+            self.add(control, f"{start}, then {tries} flips tried", achieved, buildable, seconds)
 
     def _refine(self, answer, rows, order):
         def make(target, scratch):
@@ -167,7 +169,7 @@ class Study:
                 reason, label, result = attempt(answer["label"].values[row].astype(float), Constraints())
                 if answer["valid"].values[row]:
                     trace = [abs(answer[DESCRIPTOR].values[row] / wanted.height - 1)]
-                    if not reason:  # walls that cross are left as they are
+                    if not reason:  # what cannot be built is left as it is
                         refine(label, result, wanted, Constraints(), GOAL, max(TRIES), int(row), order, trace)
                 found["errors"].append([float(error) for error in trace])
                 found["seconds"].append(time.process_time() - start)
@@ -206,8 +208,8 @@ class Study:
             code_version("inflate_lib.inverse.refine", "inflate_lib.mechanics.adjoint"),
         ]
 
-    def add(self, control, effort, achieved, seconds):
-        """One row, from what was achieved for each target (NaN: nothing valid)."""
+    def add(self, control, effort, achieved, buildable, seconds):
+        """One row, from what was achieved for each target (NaN: nothing valid), and whether it can be built."""
         wanted, valid = self.targets[:, 0], np.isfinite(achieved)
         error = np.abs(achieved / wanted - 1)
 
@@ -219,6 +221,7 @@ class Study:
 
         low, high = bootstrap(statistics, len(wanted), None, self.seed)
         row = {"control": control, "effort": effort, "seconds": float(seconds), "valid": float(100 * valid.mean())}
+        row["buildable"] = float(100 * buildable.mean())
         measured = statistics(np.arange(len(wanted)))
         for name, *values in zip(("R²", "median", "within"), measured, low, high, strict=True):
             row |= dict(zip((name, f"{name} low", f"{name} high"), map(float, values), strict=True))

@@ -112,8 +112,10 @@ class Study:
                 get_descriptor(part).error.share(achieved[:, COLUMNS[part]], target[:, COLUMNS[part]]) for part in parts
             ]
             worst = np.where(drawn["valid"].values, np.max(misses, axis=0), np.inf).reshape(len(rows), -1)
+            buildable = drawn["buildable"].values.reshape(worst.shape)
             for n in sorted({1, self.given.candidates}):
-                measured = self.measured(worst[:, :n].min(axis=1))
+                best = np.arange(len(rows)), worst[:, :n].argmin(axis=1)
+                measured = self.measured(worst[best]) | {"buildable": 100 * float(buildable[best].mean())}
                 self.add("several targets", " and ".join(parts), model, n, measured)
 
     def calibration(self, model, told):

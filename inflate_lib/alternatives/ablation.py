@@ -28,7 +28,7 @@ _GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
 _N_CALIBRATION = 150  # structures drawn to calibrate a model
 _FAST = (10, 20, 50)  # steps of the fast samplers
 _STRUCTURES = (600, 2000)  # structures, besides all
-MEASURES = ("R²", "median error", "valid")
+MEASURES = ("R²", "median error", "valid", "buildable")
 _PAPER = {
     "objective": "epsilon",
     "timestep_draws": 1,
@@ -117,7 +117,7 @@ def evaluate_variant(model, data, targets, seed=0, n_calibration=_N_CALIBRATION,
 
 
 def measures(experiment, descriptor, data, seed=0):
-    """R², median error and share of valid structures, each with low and high, as a flat dict."""
+    """R², median error and shares of valid and of buildable structures, each with low and high, as a flat dict."""
     table = scores(experiment, descriptor, data, seed=seed).set_index("measure")
     row, of = {}, {"median error": f"median {get_descriptor(descriptor).error.name}"}
     for name in MEASURES:
@@ -127,8 +127,11 @@ def measures(experiment, descriptor, data, seed=0):
 
 
 def over_seeds(runs):
-    """Runs of ``benchmarks/ablation.py``, one row per run → one per variant: mean over the seeds, lowest, highest."""
-    rows = []
+    """Runs of ``benchmarks/ablation.py``, one row per run → one per variant: mean over the seeds, lowest, highest.
+
+    A measure that a stored table does not have yet is NaN.
+    """
+    rows, runs = [], runs.reindex(columns=[*runs, *(measure for measure in MEASURES if measure not in runs)])
     for (group, name), part in runs.groupby(["group", "variant"], sort=False):
         row = {"group": group, "variant": name, "seeds": len(part)}
         for measure in MEASURES:

@@ -92,8 +92,8 @@ def selection(
     -------
     pandas.DataFrame
         Columns by ("simulation" or "surrogate"), n, median, low, high, 90 % (quantile), fails (share of picks that are
-        not valid), seconds. Errors in percent of the target, for axes in pixels. A pick that is not valid counts as an
-        infinite error.
+        not valid), buildable (share of picks that can be built), seconds. Errors in percent of the target, for axes in
+        pixels. A pick that is not valid counts as an infinite error.
     """
     targets = np.unique(candidates["level"].values)
     shape = len(targets), candidates.sizes["structure"] // len(targets)
@@ -102,7 +102,7 @@ def selection(
         descriptor, descriptor_matrix(candidates, descriptor), target
     )
     error = np.where(candidates["valid"].values, error, np.inf).reshape(shape)
-    images = candidates["image"].values
+    buildable, images = candidates["buildable"].values.reshape(shape), candidates["image"].values
     promised = misses(descriptor, trained.predict(images, descriptor), target).reshape(shape)
     rows = []
     for by, ranking in (("simulation", error), ("surrogate", promised)):
@@ -116,6 +116,7 @@ def selection(
             row = {"by": by, "n": n, "median": median(slice(None)), "low": float(low), "high": float(high)}
             row["90 %"] = _weighted_quantile(ordered, weights, 0.9)
             row["fails"] = (weights * np.isinf(ordered)).sum() / len(targets)
+            row["buildable"] = (weights * best_of(buildable, ranking, n)[0]).sum() / len(targets)
             if seconds is not None:
                 row["seconds"] = n * (seconds["generate"] + seconds["simulate" if by == "simulation" else "surrogate"])
             rows.append(row)

@@ -37,12 +37,14 @@ def results() -> str:
     card = (paths.PRETRAINED / "laptop" / "README.md").read_text(encoding="utf-8").split("## Accuracy")[1]
     table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in card.splitlines() if line.startswith("| ")]
     measured = {row[0]: dict(zip(table[0], row, strict=True)) for row in table[1:]}
-    lines = ["| model | R² | median error | valid |", "|---|---|---|---|"]
+    shares = [title.removesuffix(" (%)") for title in ("valid (%)", "buildable (%)") if title in table[0]]
+    lines = [f"| model | R² | median error | {' | '.join(shares)} |", "|---|---|---|" + "---|" * len(shares)]
     for name in DESCRIPTORS:
         row = measured[name]
         percent = row["median error (%)"]
         median = f"{row['median point distance (px)']} px" if percent == "–" else f"{percent} %"
-        lines.append(f"| {name} | {row['R²']} | {median} | {row['valid (%)']} % |")
+        measured_shares = " | ".join(f"{row[f'{share} (%)']} %" for share in shares)
+        lines.append(f"| {name} | {row['R²']} | {median} | {measured_shares} |")
     return "\n".join(lines)
 
 

@@ -44,8 +44,9 @@ the last interval of training, the held-out loss the simple loss on the structur
 
 For each model the descriptors of {n} held-out structures that lie in the range of its training data were asked for, one
 structure was drawn for each and inflated, and what it achieved was compared with what was asked for; sampling:
-{sampling}; {calibration}. In brackets: 95 % bootstrap intervals. Errors are those of valid structures: drawings of
-one closed structure that converges at each load step.
+{sampling}; {calibration}. In brackets: 95 % bootstrap intervals. Errors are those of *valid* structures: drawings of
+one closed structure that converges at each load step. *Buildable* are those of them whose wall nowhere holds together
+in a single node and crosses no wall at any load step; of the real structures of the data {buildable} are.
 
 {accuracy}
 
@@ -56,8 +57,8 @@ one closed structure that converges at each load step.
   `model.draw`; `inflate_lib.diffusion.generate` warns.
 - The descriptors are those of one material, one wall thickness and one pressure. Other conditions need other
   simulations and other weights.
-- Single structures miss their target by the errors above: simulate what was drawn, and choose. Self-contact of the
-  inflated walls is not modelled.
+- Single structures miss their target by the errors above, and not all can be built: simulate what was drawn, and
+  choose, as `inflate design` does. Contact of walls is not modelled, only seen (`inflate_lib.mechanics.find_flaw`).
 - Weights are used for a run only if the recipe and the images are the same to the last bit; otherwise models are
   trained anew.
 """
@@ -69,6 +70,7 @@ _MEASURES = {
     "within 5 %": "within 5 % (%)",
     "median point distance": "median point distance (px)",
     "valid": "valid (%)",
+    "buildable": "buildable (%)",
 }
 
 
@@ -131,6 +133,7 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
         recipe=options.to_frame().to_markdown(),
         training=_markdown(training),
         accuracy=_markdown(accuracy),
+        buildable=f"{100 * float(data['buildable'].mean()):.1f} %",
         n="all" if n is None else n,
         sampling=", ".join(f"{key} {value}" for key, value in recipe.sampling.items()),
         calibration=how if recipe.n_calibration else "the model was told the target itself",

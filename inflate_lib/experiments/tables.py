@@ -173,33 +173,32 @@ def accuracy(experiment: "xr.Dataset", descriptor: str) -> pd.DataFrame:
 
 
 def failure_reasons(experiments: "Iterable[xr.Dataset]") -> pd.Series:
-    """Why structures are not valid, counted over several experiments.
+    """Why structures are not valid, counted over several experiments, or data sets (valid: what converges).
 
     Returns
     -------
     pandas.Series
         :class:`_Failure` → number, the most frequent first; empty where all are valid.
     """
-    reasons = [reason for one in experiments for reason in one["reason"].values[~one["valid"].values]]
+    reasons = [reason for one in experiments for reason in one["reason"].values[~_valid(one)]]
     return pd.Series([_failure(str(reason)) for reason in reasons], dtype=object).value_counts()
 
 
 def flaws(experiments: "Iterable[xr.Dataset]") -> pd.Series:
-    """Why valid structures cannot be built, counted over several experiments.
-
-    Of a data set that is no experiment, all structures that converge count as valid.
+    """Why valid structures cannot be built, counted over several experiments, or data sets (valid: what converges).
 
     Returns
     -------
     pandas.Series
         :class:`inflate_lib.mechanics.Flaw` → number, the most frequent first; empty where all can be built.
     """
-    found = [
-        flaw
-        for one in experiments
-        for flaw in one["flaw"].values[one.get("valid", one["converged"]).values & ~one["buildable"].values]
-    ]
+    found = [flaw for one in experiments for flaw in one["flaw"].values[_valid(one) & ~one["buildable"].values]]
     return pd.Series([Flaw[flaw.upper()] for flaw in found], dtype=object).value_counts()
+
+
+def _valid(one):
+    """Which structures of an experiment are valid; of a data set, which converge."""
+    return one.get("valid", one["converged"]).values
 
 
 def _failure(reason):

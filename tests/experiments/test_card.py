@@ -48,7 +48,10 @@ def test_card_tells_data_recipe_cost_and_accuracy(folder, data):
     assert f"{model.net.n_parameters:,}" in text and f"{model.history['loss'][-1]:.4f}" in text
     rows = [line for line in text.splitlines() if line.startswith(("| height", "| axis"))]
     assert len(rows) == 4  # training and accuracy of each
-    assert {"R²", "median error / target", "valid"} <= set(model.metadata["metrics"])
+    assert {"R²", "median error / target", "valid", "buildable"} <= set(model.metadata["metrics"])
+    words = " ".join(text.split())
+    assert "valid (%) | buildable (%)" in words
+    assert f"of the real structures of the data {100 * float(data.buildable.mean()):.1f} % are" in words
     # The weights are those that were measured, and the rest of the header is kept.
     assert all((a == b).all() for a, b in zip(model.net.parameters(), before.net.parameters(), strict=True))
     assert before.metadata.items() <= model.metadata.items()
