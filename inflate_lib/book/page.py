@@ -31,13 +31,14 @@ from inflate_lib._progress import RUNNER
 from inflate_lib._provenance import code_state, package_versions
 from inflate_lib.book.profiles import declared_parameters
 from inflate_lib.models.recipe import Recipe, load_recipe
+from inflate_lib.plotting.style import use_style
 
 SOURCES = {"mnist": "MNIST training sevens", "digits": "scikit-learn digits, embedded (no MNIST here)"}
 _RECORD = "application/papermill.record/"  # the mark under which myst-nb looks for glued values
 
 
 class Page:
-    """The published side of one notebook.
+    """The published side of one notebook; figures that are drawn after it was made have the book's style.
 
     Parameters
     ----------
@@ -70,6 +71,7 @@ class Page:
         self.seed, self.source = self.recipe.seed, _resolve(self.recipe.source)
         self.folder = paths.FIGURES / self.profile
         self._kinds: dict[str, tuple[str, ...]] = {}
+        use_style()
         print(f"Profile: {self.profile} · data source: {SOURCES[self.source]}")
 
     def figure(self, fig: Figure, name: str, dpi: int = 200) -> Image:
@@ -196,6 +198,9 @@ def _parameters(notebook: str, namespace: Mapping[str, Any]) -> dict[str, Any]:
     path = paths.NOTEBOOKS / f"{notebook}.md"
     if not path.is_file():
         raise ValueError(f"no notebook {path.name} in {paths.NOTEBOOKS}; Page takes the notebook's own name")
+    running = Path(os.environ.get(RUNNER, "")).name.removesuffix(".published.txt")
+    if running not in ("", notebook):
+        raise ValueError(f"the notebook {running!r} must not publish as Page({notebook!r}, …), which is another one")
     if lost := [name for name in declared_parameters(path) if name not in namespace]:
         raise ValueError(f"run the parameters cell first: {', '.join(lost)} not defined; then Page(name, globals())")
     return {name: namespace[name] for name in declared_parameters(path)}

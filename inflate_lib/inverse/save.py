@@ -107,6 +107,7 @@ def write_designs(designs: "Designs", folder: Path, size_mm: float = SIZE_MM, de
     """Write designs into a folder from :func:`claimed_folder`; see :func:`save_designs`."""
     import matplotlib.pyplot as plt
 
+    from inflate_lib.plotting import in_style
     from inflate_lib.plotting.designs import plot_designs
 
     check_sizes(size_mm=size_mm, depth_mm=depth_mm)
@@ -118,11 +119,12 @@ def write_designs(designs: "Designs", folder: Path, size_mm: float = SIZE_MM, de
         with hand_out_folder(folder, ours) as place:
             for name, one in zip(_names(len(designs.designs)), designs.designs, strict=True):
                 _write_design(one, place / name, name, designs, size_mm, depth_mm)
-            fig = plot_designs(designs)
-            try:
-                fig.savefig(place / "contact_sheet.png")
-            finally:
-                plt.close(fig)
+            with in_style():
+                fig = plot_designs(designs)
+                try:
+                    fig.savefig(place / "contact_sheet.png")
+                finally:
+                    plt.close(fig)
             designs.table().to_csv(place / "designs.csv", index=False, float_format="%.8g")
             files = [file for file in sorted(place.rglob("*")) if file.is_file()]
             digests |= {file.relative_to(place).as_posix(): file_digest(file) for file in files}

@@ -61,17 +61,19 @@ def write_picture(result: "Inflation", path: str | Path, quantity: str = "von-mi
     """
     import matplotlib.pyplot as plt
 
+    from inflate_lib.plotting import in_style
     from inflate_lib.plotting.mechanics import plot_inflation
 
     steps = reached_steps(result)
     values, label = _coloured(result, quantity)
     path = with_ending(path, *PICTURES)
-    fig = plot_inflation(result, values[1:], label, steps - 1)
-    try:
-        with hand_out(path) as place:
-            fig.savefig(place)
-    finally:
-        plt.close(fig)
+    with in_style():
+        fig = plot_inflation(result, values[1:], label, steps - 1)
+        try:
+            with hand_out(path) as place:
+                fig.savefig(place)
+        finally:
+            plt.close(fig)
     return path
 
 
@@ -82,17 +84,19 @@ def write_animation(
     import matplotlib.pyplot as plt
     from matplotlib.animation import PillowWriter
 
+    from inflate_lib.plotting import in_style
     from inflate_lib.plotting.mechanics import animate_inflation
 
     steps = reached_steps(result)
     values, label = _coloured(result, quantity)
     path = with_ending(path, ".gif")
-    fig, animation = animate_inflation(result, values, label, steps)
-    try:
-        with hand_out(path) as place:
-            animation.save(place, writer=PillowWriter(fps=frames_per_second), dpi=90)
-    finally:
-        plt.close(fig)
+    with in_style():
+        fig, animation = animate_inflation(result, values, label, steps)
+        try:
+            with hand_out(path) as place:
+                animation.save(place, writer=PillowWriter(fps=frames_per_second), dpi=90)
+        finally:
+            plt.close(fig)
     return path
 
 

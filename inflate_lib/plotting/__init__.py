@@ -1,10 +1,10 @@
 """Figures of the book: one style, one function per kind of figure.
 
-Importing this package applies the style of :mod:`inflate_lib.plotting.style` to matplotlib.
+Importing this package leaves matplotlib's settings alone. The style of :mod:`inflate_lib.plotting.style` is that of a
+notebook once it has made its page, and of the pictures that the library writes; a session of one's own has it after
+:func:`use_style`, or within :func:`in_style`.
 """
 
-from inflate_lib.plotting.style import COLOURS, figure, use_style
+from inflate_lib.plotting.style import COLOURS, figure, in_style, use_style
 
-use_style()
-
-__all__ = ["COLOURS", "figure", "use_style"]
+__all__ = ["COLOURS", "figure", "in_style", "use_style"]

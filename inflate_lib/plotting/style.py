@@ -1,5 +1,7 @@
 """One style for every figure: the Okabe–Ito palette, thin axes, sizes in centimetres of the printed page."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +34,8 @@ TEXT_WIDTH = 17.0  # cm
 
 
 def use_style() -> None:
-    """Apply the book's style to matplotlib's global settings."""
+    """Set matplotlib's global settings to the book's style, whatever they were: a reader's own have no part in it."""
+    mpl.rcdefaults()
     mpl.rcParams.update(
         {
             "figure.dpi": 110,
@@ -60,6 +63,14 @@ def use_style() -> None:
             ),
         }
     )
+
+
+@contextmanager
+def in_style() -> Iterator[None]:
+    """The book's style for what is drawn and saved within; afterwards matplotlib's settings are what they were."""
+    with mpl.rc_context():
+        use_style()
+        yield
 
 
 def figure(

@@ -52,6 +52,14 @@ def test_page_knows_its_parameters_and_says_where_data_come_from(capsys):
     assert "Profile: ci · data source: scikit-learn digits" in capsys.readouterr().out
 
 
+def test_a_copy_of_a_notebook_does_not_publish_as_the_original(home, monkeypatch):
+    monkeypatch.setenv("INFLATE_MANIFEST", str(home / "05_example.published.txt"))
+    page()
+    monkeypatch.setenv("INFLATE_MANIFEST", str(home / "05_example copy.published.txt"))
+    with pytest.raises(ValueError, match=r"'05_example copy' must not publish as Page\('05_example', …\)"):
+        page()
+
+
 def test_a_figure_and_a_table_do_not_share_a_record(home):
     example = page()
     example.figure(picture(), "both")
@@ -107,9 +115,13 @@ def test_an_interval_and_an_exponent_stay_on_one_line(home):
 
 
 def test_runner_is_told_what_was_published(tmp_path, monkeypatch):
-    monkeypatch.setenv(publishing.RUNNER, str(tmp_path / "manifest"))
+    monkeypatch.setenv(publishing.RUNNER, str(tmp_path / "05_example.published.txt"))
     page().figure(picture(), "fig01")
-    assert (tmp_path / "manifest").read_text().split() == ["ci/fig01.png", "ci/fig01.svg", "ci/fig01.json"]
+    assert (tmp_path / "05_example.published.txt").read_text().split() == [
+        "ci/fig01.png",
+        "ci/fig01.svg",
+        "ci/fig01.json",
+    ]
 
 
 def test_mistakes_are_named(home):
