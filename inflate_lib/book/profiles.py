@@ -99,10 +99,12 @@ def load_profile(name: str, folder: Path | None = None) -> Profile:
 
 def check_profile(profile: Profile, notebooks: list[Path]) -> None:
     """Compare a profile with what all the notebooks declare; ProfileError lists everything that does not fit."""
+    from inflate_lib.diffusion.training import choose_device  # here, so that a page without a model needs no PyTorch
+
     declared = {path.stem: declared_parameters(path) for path in notebooks}
     problems = []
     try:
-        Recipe.from_dict(profile.recipe).config(DESCRIPTORS[0])
+        choose_device(Recipe.from_dict(profile.recipe).config(DESCRIPTORS[0]).device)
     except ValueError as error:
         problems.append(f"recipe.training: {error}")
     for name, value in profile.common.items():

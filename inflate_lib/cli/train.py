@@ -31,6 +31,7 @@ def train(
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
     from inflate_lib.diffusion import ranks
+    from inflate_lib.diffusion.training import choose_device
     from inflate_lib.experiments.calibrate import calibrate_weights
     from inflate_lib.models import train
     from inflate_lib.models.reach import save_reach
@@ -42,8 +43,15 @@ def train(
         raise ValueError("--steps is a dry run, which keeps nothing: leave out --out and --log")
     names = list(DESCRIPTORS) if descriptor == "all" else [get_descriptor(descriptor).name]
     recipe = load_recipe(profile)
-    recipe = recipe.changed(training=({"device": device} if device else {}) | ({"compile": True} if compile else {}))
-    ranks.start(recipe.training.get("device", "auto"))
+    changes = {"device": device, "compile": compile or None}
+    recipe = recipe.changed(training={name: value for name, value in changes.items() if value is not None})
+    chosen = recipe.training.get("device", "auto")
+    try:
+        choose_device(chosen)
+    except ValueError as error:
+        where = f"profile {profile}, recipe.training" if device is None else "--device"
+        raise ValueError(f"{where}: {error}") from None
+    ranks.start(chosen)
     data = simulated_sevens(recipe.source, recipe.n_structures)
     basis = names, recipe, data
     if pack is not None:

@@ -21,7 +21,7 @@ def _digest(tensors: Mapping[str, Tensor], content: str) -> str:
     for name in sorted(tensors):
         tensor = tensors[name].detach().cpu().contiguous()
         total.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-        total.update(tensor.numpy().tobytes())
+        total.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())  # NumPy knows no bfloat16
     return total.hexdigest()
 
 
@@ -61,17 +61,26 @@ def read(path: Path, kind: str) -> tuple[dict[str, Tensor], dict]:
         raise ValueError(f"{path} is not a {kind} file written by this library")
     content = header.get("content", "")
     if header.get("digest") != _digest(tensors, content):
-        raise ValueError(f"{path} is corrupt: its content does not match its own checksum")
+        raise ValueError(f"{path} is corrupt, or somebody saved it again: its content does not match its own checksum")
     return tensors, json.loads(content)
 
 
 def fill(places: Mapping[str, Tensor], tensors: Mapping[str, Tensor], path: Path) -> None:
     """Copy tensors into ``places``, which must match by name and shape; ``path`` is what an error names."""
     if {name: v.shape for name, v in places.items()} != {name: v.shape for name, v in tensors.items()}:
-        raise ValueError(f"{path} does not fit the network that its configuration describes")
+        differs = _difference(places, tensors)
+        raise ValueError(f"{path} does not fit the network that its configuration describes: {differs}")
     with torch.no_grad():
         for name, place in places.items():
             place.copy_(tensors[name])
+
+
+def _difference(places, tensors):
+    """Where tensors depart from their places, for people."""
+    missing, foreign = sorted(places.keys() - tensors.keys()), sorted(tensors.keys() - places.keys())
+    sizes = [name for name in places.keys() & tensors.keys() if places[name].shape != tensors[name].shape]
+    kinds = {"missing": missing, "not of it": foreign, "of another size": sorted(sizes)}
+    return "; ".join(f"{names[0]}{' and others' * (len(names) > 1)} {kind}" for kind, names in kinds.items() if names)
 
 
 def fingerprint(*arrays: np.ndarray) -> str:

@@ -17,15 +17,20 @@ from inflate_lib.diffusion.schedule import at, cosine_schedule
 
 
 def choose_device(name: str = "auto") -> torch.device:
-    """The device called ``name``; "auto" is CUDA where there is one, else MPS (the paper's), else the CPU."""
-    if name != "auto":
-        try:
-            return torch.empty(0, device=name).device
-        except (RuntimeError, AssertionError, TypeError) as error:
-            raise ValueError(f"device {name!r} cannot be used here: {error}") from None
-    if torch.cuda.is_available():
-        return torch.device("cuda")
-    return torch.device("mps" if torch.backends.mps.is_available() else "cpu")
+    """The device called ``name``; "auto" is CUDA where there is one, else MPS (the paper's), else the CPU.
+
+    Raises
+    ------
+    ValueError
+        PyTorch has no such device here, with those that it has.
+    """
+    gpus = [f"cuda:{i}" for i in range(torch.cuda.device_count())] if torch.cuda.is_available() else []
+    there = ["cuda"] * bool(gpus) + ["mps"] * torch.backends.mps.is_available() + ["cpu"]
+    if name == "auto":
+        return torch.device(there[0])
+    if name not in (*there, *gpus):
+        raise ValueError(f"device {name!r} cannot be used here, where PyTorch has {', '.join(there + gpus)}")
+    return torch.device(name)
 
 
 def train(

@@ -4,6 +4,8 @@ What is compared with is a data set of simulated structures, or the *table* of t
 beside committed weights (``reach.npz``), so that a model can be asked where no image is at hand.
 """
 
+import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -43,13 +45,13 @@ def load_reach(folder: Path):
 
     file = Path(folder) / FILE
     try:
-        with np.load(file, allow_pickle=False) as stored:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
             known = [one for one in basic() if one.name in OWN or one.variable in stored]
             table = xr.Dataset(
                 {one.variable: (("structure", *one.sizes), stored[one.variable].astype(float)) for one in known}
             )
         return table.assign(converged=("structure", np.ones(table.sizes["structure"], dtype=bool)))
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{file} cannot be read; `inflate card` writes it beside the weights ({error})") from None
 
 

@@ -1,10 +1,12 @@
 """Training: learns, repeats itself to the last bit, survives a kill, refuses what it cannot use."""
 
+import copy
 import json
 import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -517,6 +519,56 @@ def test_a_damaged_file_is_refused_by_name(model, tmp_path, kind):
         TrainedModel.load(path)
 
 
+@pytest.mark.parametrize("kind", [torch.bfloat16, torch.float64, torch.float16])
+def test_weights_of_another_precision_are_read(model, tmp_path, kind):
+    """As somebody's ``model.net.bfloat16()`` makes them."""
+    other = replace(model, net=copy.deepcopy(model.net).to(kind))
+    other.save(tmp_path / "m.safetensors")
+    loaded = TrainedModel.load(tmp_path / "m.safetensors").net.state_dict()
+    for name, value in other.net.state_dict().items():
+        assert torch.equal(loaded[name], value.to(loaded[name].dtype)) and loaded[name].dtype != torch.bfloat16
+
+
+def resaved(path, change):
+    """Write the tensors of a file again, changed, under its own header, as other tools do."""
+    from safetensors import safe_open
+    from safetensors.torch import save_file
+
+    with safe_open(path, "pt") as file:
+        tensors, header = {name: file.get_tensor(name) for name in file.keys()}, file.metadata()  # noqa: SIM118
+    save_file(change(tensors), path, header)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tensors: {name: value.bfloat16() for name, value in tensors.items()},
+        lambda tensors: {name: value.double() for name, value in tensors.items()},
+        lambda tensors: dict(list(tensors.items())[1:]),
+        lambda tensors: tensors | {"bias": torch.zeros(3)},
+        lambda tensors: {},
+    ],
+    ids=["bfloat16", "float64", "missing", "extra", "none"],
+)
+def test_a_file_that_was_saved_again_is_refused_by_name(model, tmp_path, change):
+    path = tmp_path / "model.safetensors"
+    model.save(path)
+    resaved(path, change)
+    with pytest.raises(ValueError, match=r"model\.safetensors is corrupt, or somebody saved it again"):
+        TrainedModel.load(path)
+
+
+def test_tensors_that_do_not_fit_are_named(model, tmp_path):
+    path = tmp_path / "model.safetensors"
+    model.save(path)
+    tensors, content = storage.read(path, "model")
+    first, second = list(tensors)[:2]
+    tensors[second] = tensors[second][None]
+    storage.write(path, "model", {"more": torch.zeros(())} | {k: v for k, v in tensors.items() if k != first}, content)
+    with pytest.raises(ValueError, match=f"{first} missing; more not of it; {second} of another size"):
+        TrainedModel.load(path)
+
+
 def test_a_foreign_safetensors_file_is_refused(tmp_path):
     from safetensors.torch import save_file
 
@@ -590,10 +642,12 @@ def test_unusable_data_are_named(images, conditions, message):
         train(images, conditions, config(), progress=False)
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="the device is there")
-def test_a_device_that_is_not_there_is_named():
-    with pytest.raises(ValueError, match="device 'cuda' cannot be used here"):
-        choose_device("cuda")
+@pytest.mark.parametrize("device", ["cuda", "mps", "meta", "gpu", "cuda:99", "", "CPU", None])
+def test_a_device_that_is_not_there_is_named(device, monkeypatch):
+    for module in ("cuda", "backends.mps"):
+        monkeypatch.setattr(f"torch.{module}.is_available", lambda: False)
+    with pytest.raises(ValueError, match=f"^device {device!r} cannot be used here, where PyTorch has cpu$"):
+        choose_device(device)
 
 
 def test_device_is_found_or_taken():

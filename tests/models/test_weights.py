@@ -146,6 +146,11 @@ def test_the_table_of_reach_comes_back(reach, tmp_path):
         np.testing.assert_allclose(back[name], reach[name], rtol=1e-6)
     with pytest.raises(ValueError, match=r"reach\.npz cannot be read"):
         load_reach(tmp_path / "nowhere")
+    whole = (tmp_path / "reach.npz").read_bytes()
+    for damaged in (b"", b"text", whole[:-100], whole[: len(whole) // 2], whole[:300] + b"x" * 50 + whole[350:]):
+        (tmp_path / "reach.npz").write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"reach\.npz cannot be read"):
+            load_reach(tmp_path)
 
 
 @pytest.mark.parametrize("name", [*DESCRIPTORS, JOINT])
