@@ -12,8 +12,10 @@ import functools
 import hashlib
 import importlib.util
 import json
+import os
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
@@ -147,7 +149,7 @@ def _make(result: Path, key_text: str, make: Callable[[Path, Path], None], scrat
     scratch.mkdir(exist_ok=True)
     note = _sidecar(result)
     with draft(result) as target:
-        with redirect_stdout(Aside(sys.stdout)):
+        with redirect_stdout(Aside(sys.stdout)), _elsewhere():
             make(target, scratch)
         if not target.is_file():
             raise CacheError(f"the step that makes {result} wrote no file")
@@ -195,7 +197,40 @@ def _locked(path: Path, what: str) -> Iterator[None]:
 
 
 def _concerns_cache(error: OSError) -> bool:
-    return error.filename is None or Path(error.filename).resolve().is_relative_to(paths.CACHE.resolve())
+    if error.filename is None:
+        return not _has_room()
+    return Path(os.fsdecode(error.filename)).resolve().is_relative_to(paths.CACHE.resolve())
+
+
+@contextmanager
+def _elsewhere() -> Iterator[None]:
+    """A full disk that is not the cache's, such as a small ``/dev/shm``, is not to be taken for the cache's."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno in FULL and _has_room():
+            raise RuntimeError(tell_full(error)) from error
+        raise
+
+
+def tell_full(error: OSError) -> str:
+    """The sentence for a full disk whose error names no file: which folders have how much room."""
+    folders = dict.fromkeys((str(paths.CACHE), tempfile.gettempdir(), "/dev/shm", os.getcwd()))
+    room = [f"{folder} {shutil.disk_usage(folder).free / 1e6:,.1f} MB" for folder in folders if os.path.isdir(folder)]
+    return (
+        f"{error.strerror}, and no file was named. There is room for: {'; '.join(room)}. Processes that work side by "
+        "side need some in /dev/shm."
+    )
+
+
+def _has_room() -> bool:
+    """Whether a file of a megabyte can be written into the cache."""
+    try:
+        with tempfile.TemporaryFile(dir=paths.CACHE) as probe:
+            probe.write(bytes(10**6))
+    except OSError:
+        return False
+    return True
 
 
 def _plain(value: Any) -> Any:

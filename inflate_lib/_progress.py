@@ -10,6 +10,12 @@ MARK = "\x01"  # begins a line that the runner shows while a notebook runs, and 
 RUNNER = "INFLATE_MANIFEST"  # set by the runner, to the file in which it wants to be told what was published
 
 
+def degrade(stream: Any) -> None:
+    """Let a stream write a question mark for what its encoding lacks, where it would raise an error."""
+    if isinstance(stream, io.TextIOWrapper):
+        stream.reconfigure(errors="replace")
+
+
 def _print(text: str) -> None:
     print(text, flush=True)
 
@@ -121,7 +127,7 @@ class Bars(Display):
 
         columns = "{task.fields[notebook]}", "cell {task.completed}/{task.total}", "{task.fields[text]}"
         name, count, text = (TextColumn(column, markup=False) for column in columns)
-        shown = progress.SpinnerColumn(), name, progress.BarColumn(20), count, progress.TimeElapsedColumn(), text
+        shown = progress.SpinnerColumn("line"), name, progress.BarColumn(20), count, progress.TimeElapsedColumn(), text
         self.bars = progress.Progress(*shown, console=console)
         self.tasks = {}
 

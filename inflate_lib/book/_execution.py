@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Mapping
@@ -23,7 +24,7 @@ with warnings.catch_warnings():  # papermill's optional cloud parts warn on impo
     import papermill
 
 from inflate_lib import paths
-from inflate_lib._cache import writing
+from inflate_lib._cache import CacheError, writing
 from inflate_lib._files import draft
 from inflate_lib._progress import MARK, RUNNER, Display
 from inflate_lib.book.profiles import declared_parameters
@@ -40,6 +41,8 @@ class NotebookFailed(RuntimeError):
 class Kernels:
     """The kernels of one run: started with this Python in the repository root, and ended together.
 
+    No settings of the user's reach them: neither those of matplotlib nor those of IPython.
+
     Parameters
     ----------
     environment
@@ -47,14 +50,18 @@ class Kernels:
     """
 
     def __init__(self, environment: Mapping[str, str]):
-        plots = {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}  # whatever this process uses
-        self.environment = {**os.environ, **plots, **environment}
+        self._folder = tempfile.TemporaryDirectory(prefix="inflate-kernels-")
+        own = {"MPLBACKEND": "module://matplotlib_inline.backend_inline", "MATPLOTLIBRC": os.devnull}
+        self.environment = {**os.environ, **own, "IPYTHONDIR": self._folder.name, **environment}
         self.stopped = False
         self._processes: set[int] = set()
         self._lock = threading.Lock()
 
-    def manager(self, environment: Mapping[str, str]) -> type[AsyncKernelManager]:
-        """A kernel manager class for nbclient: whatever kernels are registered on the machine, this Python is used."""
+    def manager(self, environment: Mapping[str, str], words: Path) -> type[AsyncKernelManager]:
+        """A kernel manager class for nbclient: whatever kernels are registered on the machine, this Python is used.
+
+        What its process itself says, past the notebook, goes to the file `words`.
+        """
         kernels = self
 
         class ThisPython(AsyncKernelManager):
@@ -67,7 +74,8 @@ class Kernels:
                 if kernels.stopped:
                     raise NotebookFailed("stopped")
                 options |= {"env": {**kernels.environment, **environment}, "cwd": str(paths.ROOT)}
-                await super().start_kernel(**options)
+                with words.open("wb") as said:
+                    await super().start_kernel(**options, stdout=said, stderr=said)
                 with kernels._lock:
                     kernels._processes.add(self.provisioner.pid)
                 if kernels.stopped:  # stop() came while this one started
@@ -89,6 +97,8 @@ class Kernels:
 
     def __exit__(self, *exception) -> None:
         self.stop()
+        with contextlib.suppress(OSError):  # a kernel that is just ending may write there
+            self._folder.cleanup()
 
 
 def execute(
@@ -112,7 +122,7 @@ def execute(
     name = source.stem
     folder = paths.CACHE / "runs"
     given, running = folder / f"{name}.input.ipynb", folder / f"{name}.running.ipynb"
-    manifest = folder / f"{name}.published.txt"
+    manifest, words = folder / f"{name}.published.txt", folder / f"{name}.kernel.txt"
     notebook = jupytext.read(source)
     notebook.metadata["kernelspec"] = _KERNEL
     with writing():
@@ -122,25 +132,30 @@ def execute(
     progress = _Progress(name, display)
     display.started(name, sum(cell.cell_type == "code" for cell in notebook.cells))
     try:
-        executed = papermill.execute_notebook(
-            given,
-            running,
-            parameters=dict(parameters),
-            progress_bar=False,
-            stdout_file=progress,
-            on_cell_start=progress.cell_started,
-            kernel_manager_class=kernels.manager({RUNNER: str(manifest)}),
-            coalesce_streams=True,  # a progress line that rewrites itself leaves its last state only
-        )
+        with writing():
+            executed = papermill.execute_notebook(
+                _literal(given),
+                _literal(running),
+                parameters=dict(parameters),
+                progress_bar=False,
+                stdout_file=progress,
+                on_cell_start=progress.cell_started,
+                kernel_manager_class=kernels.manager({RUNNER: str(manifest)}, words),
+                coalesce_streams=True,  # a progress line that rewrites itself leaves its last state only
+            )
     except papermill.PapermillExecutionError as error:
         message = strip_colour(f"{error.ename}: {error.evalue}")
         where = strip_colour("\n".join(error.traceback))
         raise NotebookFailed(_report(source, running, progress, message, where)) from error
+    except CacheError:
+        raise
     except Exception as error:
         if kernels.stopped:
             raise NotebookFailed(f"{source.name} was stopped") from error
-        message = "the kernel died: killed, or out of memory" if "DeadKernel" in type(error).__name__ else repr(error)
-        raise NotebookFailed(_report(source, running, progress, message)) from error
+        said = _last_words(words)
+        died = "DeadKernel" in type(error).__name__ or "Kernel died" in str(error)
+        message = "the kernel died" + ": killed, or out of memory" * (not said) if died else repr(error)
+        raise NotebookFailed(_report(source, running, progress, message, said)) from error
     finally:
         ensure_event_loop().close()  # papermill leaves this thread's loop open
     defaults = declared_parameters(source)
@@ -148,7 +163,7 @@ def execute(
     finish(executed, manifest)
     with draft(output) as place:
         nbformat.write(executed, place)
-    for leftover in (given, running, manifest):
+    for leftover in (given, running, manifest, words):
         leftover.unlink(missing_ok=True)
 
 
@@ -171,19 +186,33 @@ class _Progress:
     def flush(self) -> None: ...
 
 
-def _report(source: Path, broken: Path, progress: _Progress, message: str, traceback: str = "") -> str:
+def _literal(path: Path) -> str:
+    """A path for papermill, which would fill in what stands in braces."""
+    return str(path).replace("{", "{{").replace("}", "}}")
+
+
+def _last_words(words: Path) -> str:
+    """What the process of a kernel said, past the notebook."""
+    said = words.read_text(encoding="utf-8", errors="replace").strip() if words.is_file() else ""
+    return f"Its last words:\n{strip_colour(said)}" if said else ""
+
+
+def _report(source: Path, broken: Path, progress: _Progress, message: str, details: str = "") -> str:
     """Keep the broken notebook outside the book; say in which cell what went wrong."""
-    paths.REPORTS.mkdir(parents=True, exist_ok=True)
-    kept = paths.REPORTS / f"{source.stem}.ipynb"
-    if broken.is_file():
-        os.replace(broken, kept)
-    cell = progress.source.rstrip()
-    before, found, _ = source.read_text(encoding="utf-8").partition(cell)
-    line = f", line {before.count(chr(10)) + 1}" if cell and found else ""
-    lines = traceback.splitlines()
+    cell, kept = progress.source.rstrip(), paths.REPORTS / f"{source.stem}.ipynb"
+    where = "before its first cell"
+    if cell:
+        before, found, _ = source.read_text(encoding="utf-8").partition(cell)
+        line = f", line {before.count(chr(10)) + 1}" if found else ""
+        where = f"code cell {progress.number}{line}"
+    lines = details.splitlines()
     shown = lines if len(lines) <= 40 else [*lines[:15], "    …", *lines[-24:]]
-    parts = [f"{source.name}, code cell {progress.number}{line}: {message}", "", cell, "", *shown, ""]
-    return "\n".join([*parts, f"The notebook as far as it came: {kept}"])
+    parts = [f"{source.name}, {where}: {message}", *(["", cell] if cell else []), "", *shown]
+    if cell and broken.is_file():
+        paths.REPORTS.mkdir(parents=True, exist_ok=True)
+        os.replace(broken, kept)
+        parts += ["", f"The notebook as far as it came: {kept}"]
+    return "\n".join(parts)
 
 
 def _tidy(notebook: nbformat.NotebookNode, as_shown: bool) -> None:

@@ -65,6 +65,14 @@ def check_book(profile_name: str) -> None:
         raise RunError("\n".join([*lines, f"Run: inflate reproduce --profile {profile_name}"]))
 
 
+def check_built() -> None:
+    """Refuse to go on where no book was built, or where a notebook that it shows is gone."""
+    whole = paths.BOOK / "_build" / "complete"
+    gone = [name for name in _toc_notebooks() if not (paths.EXECUTED / f"{name}.ipynb").is_file()]
+    if gone or not whole.is_file():
+        raise RunError("there is no book yet: build it first, with `inflate book`")
+
+
 def _warnings_in(executed: Path) -> list[str]:
     """What an executed notebook wrote to stderr, an entry for each cell that did."""
     cells = [cell for cell in nbformat.read(executed, as_version=4).cells if cell.cell_type == "code"]

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from inflate_lib import paths
-from inflate_lib.book.build import run_jupyter_book
+from inflate_lib.book.build import check_built, run_jupyter_book
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _APPLICATIONS = ("Chromium.app/Contents/MacOS/Chromium", "Google Chrome.app/Contents/MacOS/Google Chrome")  # macOS
@@ -39,8 +39,10 @@ def print_book() -> Path:
     Raises
     ------
     RuntimeError
-        There is no Chromium, Sphinx found something to complain about, or the browser wrote no PDF.
+        No book was built yet, there is no Chromium, Sphinx found something to complain about, or the browser wrote no
+        PDF.
     """
+    check_built()
     chromium = _find_chromium()
     if chromium is None:
         raise RuntimeError("no Chromium or Chrome found; install one (Debian: chromium), or set INFLATE_CHROMIUM to it")

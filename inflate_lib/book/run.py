@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -110,12 +111,15 @@ def plan(profile_name: str, only: Sequence[str] = ()) -> list[Job]:
     ProfileError
         The profile does not fit its layout or the notebooks.
     RunError
-        `only` names no notebook, or more than one.
+        `only` names no notebook, or more than one; or two notebooks have the same number.
     """
     notebooks = find_notebooks()
     profile = load_profile(profile_name)
     check_profile(profile, notebooks)
-    chosen = [match for name in only for match in [_match(name, notebooks)]] if only else notebooks
+    chosen = [_match(name, notebooks) for name in only] if only else notebooks
+    for number, same in groupby(chosen if not only else (), key=lambda notebook: notebook.stem[:2]):
+        if len(twins := list(same)) > 1:
+            raise RunError(f"notebooks: two have the number {number}, {_named(twins)}; take one out of the folder")
     shared = _shared_fingerprint()
     return [_job(profile, notebook, shared) for notebook in sorted(set(chosen))]
 
@@ -211,9 +215,16 @@ def _match(name: str, notebooks: list[Path]) -> Path:
     """The notebook that ``inflation``, ``04_inflation``, ``04`` or ``4`` means."""
     split = {notebook: notebook.stem.partition("_") for notebook in notebooks}
     found = [n for n, (number, _, title) in split.items() if name in (n.stem, title) or name.zfill(2) == number]
-    if len(found) != 1:
+    if not found:
         raise RunError(f"--only {name}: there is no such notebook; there are: {', '.join(n.stem for n in notebooks)}")
+    if len(found) > 1:
+        raise RunError(f"--only {name}: there are {_named(found)}; say which, by its whole name")
     return found[0]
+
+
+def _named(notebooks: Sequence[Path]) -> str:
+    """Their names, as those of files that may have spaces in them."""
+    return " and ".join(repr(notebook.stem) for notebook in notebooks)
 
 
 def _run(todo: list[Job], jobs: int, console: Console) -> dict[str, float]:

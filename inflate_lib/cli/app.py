@@ -3,6 +3,7 @@
 Each command has a module of its own, which imports what it needs when it is called, so that ``--help`` is instant.
 """
 
+import errno
 import os
 import signal
 import sys
@@ -11,6 +12,8 @@ from importlib import import_module
 from typing import Annotated
 
 import typer
+
+from inflate_lib._progress import degrade
 
 #: In the order in which --help lists them.
 _COMMANDS = ("reproduce", "book", "dataset", "simulate", "design", "train", "card", "info")
@@ -65,6 +68,8 @@ def _load_commands() -> typer.Typer:
 
 def run() -> None:
     """Entry point: an error that the library foresaw is one clear message and exit code 1, not a traceback."""
+    os.environ |= {"MPLBACKEND": "Agg", "MATPLOTLIBRC": os.devnull}  # pictures need no screen and nobody's settings
+    degrade(sys.stdout)
     _load_commands()
     try:
         app()
@@ -75,4 +80,13 @@ def run() -> None:
     except (ValueError, RuntimeError, OSError, FloatingPointError) as error:
         if os.environ.get("INFLATE_DEBUG"):
             raise
-        sys.exit(f"inflate: {error}")
+        sys.exit(f"inflate: {_told(error)}")
+
+
+def _told(error: Exception) -> str:
+    """The text of an error; that of a full disk which is not named says where there is room."""
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC and error.filename is None:
+        from inflate_lib._cache import tell_full  # here, so that --help is instant
+
+        return tell_full(error)
+    return str(error)

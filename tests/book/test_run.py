@@ -272,6 +272,82 @@ def test_a_dying_kernel_is_told_from_a_raising_cell(home):
     assert not list((home / "book" / "notebooks").glob("*.ipynb"))
 
 
+def test_a_kernel_that_never_lived_is_quoted(home, monkeypatch):
+    """Whatever goes wrong before the first cell: here another package is in the way of the kernel's."""
+    add(home, "01_first", "x = 1")
+    (home / "ipykernel_launcher.py").write_text("import sys\nsys.exit('no kernel today')")
+    monkeypatch.setenv("PYTHONPATH", str(home))
+    with pytest.raises(
+        NotebookFailed,
+        match=r"01_first\.md, before its first cell: the kernel died\s+Its last words:\s+no kernel today$",
+    ):
+        run(only=["1"])
+
+
+def test_any_name_will_do_for_the_cache(home, monkeypatch):
+    add(home, "01_first", "x = 1")
+    monkeypatch.setattr(paths, "CACHE", home / "{x} 100 % [é]")
+    run(only=["1"])
+    assert (home / "book" / "notebooks" / "01_first.ipynb").is_file()
+
+
+def test_settings_of_a_user_do_not_reach_the_figures(finished, home, monkeypatch):
+    """Neither matplotlib's, wherever they are read from, nor IPython's."""
+    settings = home / "settings"
+    (settings / "profile_default" / "startup").mkdir(parents=True)
+    (settings / "profile_default" / "startup" / "00.py").write_text("print('good morning')")
+    (settings / "matplotlibrc").write_text(
+        "axes.grid: True\nfigure.facecolor: yellow\ntext.usetex: True\nnonsense: 1\n"
+    )
+    (home / "matplotlibrc").write_text("figure.facecolor: yellow\nfigure.figsize: 1, 1\n")
+    monkeypatch.setenv("MATPLOTLIBRC", str(settings))
+    monkeypatch.setenv("IPYTHONDIR", str(settings))
+    monkeypatch.setenv("MPLBACKEND", "TkAgg")
+    run(only=["1"])
+    executed = nbformat.read(home / "book" / "notebooks" / "01_first.ipynb", 4)
+    streams = [output for cell in executed.cells for output in cell.get("outputs", []) if "name" in output]
+    assert {output.name for output in streams} == {"stdout"} and "good morning" not in str(streams)
+    for suffix in ("png", "svg"):
+        file = f"figures/runs/ci/fig_01_first.{suffix}"
+        assert (home / file).read_bytes() == (finished[0] / file).read_bytes()
+
+
+@pytest.mark.parametrize("name", ["01_first copy", "01_first-Copy1", "01_other"])
+def test_a_duplicated_notebook_is_pointed_out(home, name):
+    add(home, name, "x = 1")
+    for only in ("1", "01"):
+        with pytest.raises(RunError, match=f"there are '01_first' and '{name}'|there are '{name}' and '01_first'"):
+            plan("ci", [only])
+    for only in ("first", "01_first", "02"):
+        assert [job.name for job in plan("ci", [only])] == ["02_second" if only == "02" else "01_first"]
+    assert [job.name for job in plan("ci", [name])] == [name]
+    with pytest.raises(RunError, match="two have the number 01, "):
+        plan("ci")
+
+
+@pytest.mark.parametrize("device", ["mps", "cuda", "meta", "gpu", "7"])
+def test_a_device_of_the_profile_that_is_not_there_is_found_before_anything_runs(home, device, monkeypatch):
+    for module in ("cuda", "backends.mps"):
+        monkeypatch.setattr(f"torch.{module}.is_available", lambda: False)
+    path = home / "notebooks" / "profiles" / "ci.yml"
+    path.write_text(path.read_text().replace("{steps: 4}", f"{{steps: 4, device: '{device}'}}"))
+    with pytest.raises(ProfileError, match=f"recipe.training: device '{device}' cannot be used here.*has cpu$"):
+        plan("ci")
+    monkeypatch.setattr(sys, "argv", ["inflate", "train"])
+    with pytest.raises(SystemExit, match=f"profile ci, recipe.training: device '{device}'"):
+        app.run()
+    monkeypatch.setattr(sys, "argv", ["inflate", "train", "--profile", "laptop", "--device", device])
+    with pytest.raises(SystemExit, match=f"--device: device '{device}' cannot be used here, where PyTorch has cpu"):
+        app.run()
+
+
+def test_a_book_is_printed_after_it_was_built(home, monkeypatch):
+    monkeypatch.setattr(build, "run_jupyter_book", lambda *_: pytest.fail("Sphinx was asked"))
+    monkeypatch.setattr(sys, "argv", ["inflate", "pdf"])
+    with pytest.raises(SystemExit, match="build it first, with `inflate book`"):
+        app.run()
+
+
 @pytest.mark.parametrize(
     ("profile", "only", "message"),
     [
