@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from inflate_lib import describe, inflate, label_image, load_model, load_sevens
+from inflate_lib import describe, find_flaw, inflate, label_image, load_model, load_sevens
 from inflate_lib.io import write_picture
 
 # Forwards: a handwritten seven stands for a soft wall around a cavity. Pressure inflates
@@ -30,10 +30,11 @@ for image in drawn:
         continue
 results = [result for result in results if result.converged]
 heights = np.array([describe(result).height for result in results])
-best = np.abs(heights - wanted).argmin()
+buildable = [find_flaw(result) is None for result in results]
+best = np.where(buildable, np.abs(heights - wanted), np.inf).argmin()
 error = 100 * abs(heights[best] / wanted - 1)
 
 print(f"{len(results)} of {len(drawn)} drawings inflate, to height {heights.mean():.3f} on average")
 print(f"wanted {wanted}, achieved by the best {heights[best]:.4f}: {error:.3f} % off")
 picture = write_picture(results[best], sys.argv[1] if len(sys.argv) > 1 else "quickstart.png")
-print(f"the best, before and after inflation: {picture}")
+print(f"the best of the {sum(buildable)} that can be built, inflated: {picture}")

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from inflate_lib.datasets.simulate import simulate_dataset, simulated_sevens
     from inflate_lib.descriptors import describe
     from inflate_lib.inverse.search import design
+    from inflate_lib.mechanics.buildable import find_flaw
     from inflate_lib.mechanics.contact import self_contact
     from inflate_lib.mechanics.inflation import inflate
     from inflate_lib.mechanics.mesh import build_mesh
@@ -37,6 +38,7 @@ __all__ = [
     "build_mesh",
     "describe",
     "design",
+    "find_flaw",
     "inflate",
     "label_image",
     "load_model",

@@ -133,7 +133,7 @@
       });
       gallery.replaceChildren(...shown.map((one) => one.figure));
       status.textContent = `Target ${symbols.join(", ")} = ${three(entry.target)}. ` +
-        `${entry.valid} of ${data.about.drawn} drawings were valid; ` +
+        `${entry.valid} of ${data.about.drawn} drawings were valid, ${entry.buildable} could be built; ` +
         (shown.length ? `${shown.length} of them are shown.` : "there is nothing to show.");
       draw();
     }

@@ -149,7 +149,8 @@ def explorer_script(experiments, n_shown, about):
                 pieces.append(points)
                 place += points.size
             wanted = [round(float(value), 4) for value in target[rows[0]]]
-            entries.append({"target": wanted, "valid": int(np.isfinite(error[rows]).sum()), "structures": structures})
+            shares = {share: int(experiment[share].values[rows].sum()) for share in ("valid", "buildable")}
+            entries.append({"target": wanted} | shares | {"structures": structures})
         content["descriptors"][name] = entries
     content["states"] = len(pieces[0]) if pieces else 0
     points = b"".join(piece.astype("<i2").tobytes() for piece in pieces)

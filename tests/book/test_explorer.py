@@ -93,6 +93,7 @@ def test_the_script_gives_outlines_back(results):
             "level": ("structure", level),
             "target": (("structure", "component"), np.where(level, 1.0, 0.9)[:, None]),
             "valid": ("structure", np.array([True, True, False, True, True, True])),
+            "buildable": ("structure", np.array([True, False, False, True, True, True])),
         }
     )
     script, content = explorer_script({"height": experiment}, 2, {"profile": "test"})
@@ -103,7 +104,7 @@ def test_the_script_gives_outlines_back(results):
     numbers = np.frombuffer(base64.b64decode(whole["points"]), "<i2")
     entries = whole["descriptors"]["height"]
     assert [entry["target"] for entry in entries] == [[0.9], [1.0]]
-    assert [entry["valid"] for entry in entries] == [2, 3]
+    assert [(entry["valid"], entry["buildable"]) for entry in entries] == [(2, 1), (3, 3)]
     for k, entry in enumerate(entries):
         best = min((abs(achieved[i] / entry["target"][0] - 1), i) for i in np.flatnonzero(level == k) if i != 2)
         first = entry["structures"][0]
