@@ -14,7 +14,7 @@ from inflate_lib.alternatives.best_of import _weighted_quantile, best_of, chance
 from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.descriptors.distances import _hausdorff, _point_distances
 from inflate_lib.descriptors.shape import mirror_axis
-from inflate_lib.experiments.metrics import bootstrap, errors, misses, r_squared
+from inflate_lib.experiments.metrics import bootstrap, errors, misses, r_squared, scatter_between_samples
 from inflate_lib.experiments.run import judge
 from inflate_lib.experiments.tables import (
     _Failure,
@@ -361,3 +361,17 @@ def test_a_surrogate_that_knows_everything_ranks_as_the_simulation_does():
     assert (np.diff(simulated["median"]) <= 0).all()
     assert simulated["seconds"].tolist() == pytest.approx([0.11, 0.44, 1.1])
     assert guessed["seconds"].tolist() == pytest.approx([0.101, 0.404, 1.01])
+
+
+def test_scatter_between_samples_is_that_of_the_normal_law():
+    """Means of n normal numbers: two samples differ by 2 σ/√(πn) on average, which halves of one sample must tell."""
+    rng, n, deviation = np.random.default_rng(0), 100, 3.0
+    found = []
+    for trial in range(400):
+        values = rng.normal(1.0, deviation, n)
+        found.append(scatter_between_samples(lambda rows, values=values: values[rows].mean(), n, trial))
+    exact = 2 * deviation / np.sqrt(np.pi * n)
+    error = np.std(found) / np.sqrt(len(found))
+    assert abs(np.mean(found) - exact) < 4 * error < 0.1 * exact  # halves divided by 2 would be 29 % too small
+    two = np.abs(np.diff(rng.normal(1.0, deviation, (2, 4000, n)).mean(axis=2), axis=0))  # and so do two samples
+    assert abs(two.mean() - exact) < 4 * two.std() / np.sqrt(4000)
