@@ -2,8 +2,8 @@
 
     python benchmarks/ablation.py
 
-trains each variant of the profile's recipe (inflate_lib/ablation.py) for some thousand steps, asks each for the same
-held-out targets, and writes data/reference/ablation.csv, which the chapter "Alternatives" shows, and ablation.json
+trains each variant of the profile's recipe (inflate_lib/alternatives/ablation.py) for some thousand steps, asks each
+for all held-out targets, and writes data/reference/ablation.csv, which the chapter "Alternatives" shows, and ablation.json
 beside it, which says where it comes from. Every run is kept in the cache: a script that was stopped goes on where it
 was.
 """
@@ -21,14 +21,17 @@ from stored import store
 from inflate_lib._cache import step_version
 from inflate_lib.alternatives import ablation
 from inflate_lib.datasets.simulate import simulated_sevens
+from inflate_lib.datasets.split import training_rows
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.experiments.run import held_out_targets
 from inflate_lib.models.recipe import load_recipe
 from inflate_lib.models.remote import train_and_test
 from inflate_lib.models.train import trained_model_file, training_set
 from inflate_lib.models.weights import Model, committed_weights
+from inflate_lib.structures.augmentation import PAPER_SAMPLES
 
 NORMALISATION = "network", "one group in each normalisation"
+PAIRS = {("pairs", "originals alone"): 0, ("pairs", "with flips and shifts"): PAPER_SAMPLES}
 
 
 class OneGroup(TrainingConfig):
@@ -47,7 +50,7 @@ def options():
     parser.add_argument("--profile", default="ci", help="whose recipe is varied")
     parser.add_argument("--steps", type=int, default=3000, help="training steps of each run")
     parser.add_argument("--seeds", type=int, default=3, help="runs of each variant")
-    parser.add_argument("--targets", type=int, default=200, help="held-out targets")
+    parser.add_argument("--targets", type=int, help="held-out targets; all by default")
     parser.add_argument("--descriptor", default="height")
     parser.add_argument("--source", default="mnist")
     parser.add_argument("--jobs", type=int, default=-1, help="runs side by side, one thread each")
@@ -61,6 +64,8 @@ def run(variant, seed, training, n_structures, data, targets, recipe, descriptor
     group, name = variant
     few = data if n_structures is None else data.isel(structure=slice(0, n_structures))
     recipe = replace(recipe, training=training, seed=seed)
+    if variant in PAIRS:
+        recipe = replace(recipe, n_augmented=max(PAIRS[variant], len(training_rows(data))))
     if variant == NORMALISATION:
         model = train_with_one_group(recipe, data, descriptor)
     else:
@@ -86,6 +91,7 @@ def main():
     data = simulated_sevens(given.source)
     targets, _ = held_out_targets(data, given.descriptor, n=given.targets)
     variants = ablation.training_variants(training) | {NORMALISATION: (training, None)}
+    variants |= dict.fromkeys(PAIRS, (training, None))
     variants = {k: v for k, v in variants.items() if v[1] is None or v[1] < data.sizes["structure"]}
     if given.only:
         if unknown := set(given.only) - {name for _, name in variants}:

@@ -88,8 +88,12 @@ def train(
         torch.set_num_threads(threads_before)
 
 
-def simple_loss(model: TrainedModel, images: np.ndarray, conditions: np.ndarray, seed: int = 0) -> float:
+def simple_loss(
+    model: TrainedModel, images: np.ndarray, conditions: np.ndarray, seed: int = 0, timestep_draws: int = 1
+) -> float:
     """L_simple (Eq. 12) of a model on pairs (n, h, w), (n, N), one random time step for each; the seed draws it.
+
+    With ``timestep_draws`` as in :class:`.TrainingConfig` they are as noisy as in training; by default t is uniform.
 
     On pairs that the model was not trained on, a fair measure of how well it predicts; and, as it repeats itself, a
     check that stored weights still mean what they meant.
@@ -100,7 +104,7 @@ def simple_loss(model: TrainedModel, images: np.ndarray, conditions: np.ndarray,
         x0 = _to_network(torch.from_numpy(images[first : first + 256]))
         y = torch.from_numpy(model.scaled(conditions[first : first + 256])).float()
         generator = random_generator(seed, 4, first)
-        t = torch.randint(model.config.T, (len(x0),), generator=generator)
+        t = torch.randint(model.config.T, (timestep_draws, len(x0)), generator=generator).amax(0)
         noise = torch.randn(x0.shape, generator=generator)
         errors.append(_squared_errors(model, x0, y, t, noise))
     return torch.cat(errors).mean().item()

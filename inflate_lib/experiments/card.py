@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
 from inflate_lib.descriptors.registry import PHYSICAL
 from inflate_lib.experiments.calibrate import calibrate_weights
@@ -25,7 +26,8 @@ page was written by `inflate card --profile {profile}`, which measures what it s
 ## Data
 
 {source}: {structures} structures that inflate, of which every tenth (those whose index ends in 9) was held out with
-all its flips and shifts; {pairs} pairs of image and descriptor were trained on. Digest of the images: `{data}`. The
+all its flips and shifts; {pairs} pairs of image and descriptor were trained on: {originals} originals and {variants}
+flips and shifts of them. Digest of the images: `{data}`. The
 images are not in here.
 
 ## Recipe
@@ -122,13 +124,15 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
         .rename("value")
         .rename_axis("option")
     )
-    how = f"targets calibrated on {recipe.n_calibration} training structures (`inflate_lib.models.calibration`)"
+    how = f"targets calibrated (a monotone fit) on {recipe.n_calibration} training structures (`inflate_lib.models.calibration`)"
     card = folder / "README.md"
     text = _CARD.format(
         profile=about.get("profile", folder.name),
         source={"mnist": "The sevens of the MNIST training files"}.get(about["source"], about["source"]),
         structures=f"{about['structures']:,}",
         pairs=f"{about['pairs']:,}",
+        originals=f"{(originals := len(training_rows(data))):,}",
+        variants=f"{about['pairs'] - originals:,}",
         data=about["data"],
         recipe=options.to_frame().to_markdown(),
         training=_markdown(training),

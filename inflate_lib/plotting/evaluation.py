@@ -47,6 +47,27 @@ def plot_held_out(experiments):
     return fig
 
 
+def plot_tails(table):
+    """Median deviation from the target in each tenth of the targets, with a straight and with a bent calibration.
+
+    ``table`` is a frame with the columns descriptor, calibration ("straight", "bent"), part, from, to, median, and
+    median low and high, as ``benchmarks/tails.py`` stores it.
+    """
+    names = list(dict.fromkeys(table["descriptor"]))
+    fig, axes = figure(1, len(names), height=5.5, sharey=True, squeeze=False)
+    styles = {"straight": {"color": COLOURS.ghost, "fmt": "s--"}, "bent": {"color": COLOURS.wall, "fmt": "o-"}}
+    for ax, name in zip(axes[0], names, strict=True):
+        ax.axhline(0, color=COLOURS.ink, linewidth=0.8, linestyle=":")
+        for way, style in styles.items():
+            rows = table[(table["descriptor"] == name) & (table["calibration"] == way)]
+            ends = [rows["median"] - rows["median low"], rows["median high"] - rows["median"]]
+            ax.errorbar((rows["from"] + rows["to"]) / 2, rows["median"], ends, label=way, markersize=4, **style)
+        ax.set(title=name, xlabel="target")
+    axes[0, 0].set_ylabel("median deviation (%)")
+    axes[0, 0].legend()
+    return fig
+
+
 def plot_novelty(distances, yardstick):
     """Distance to the nearest training structure: generated (blue outline) beside held-out real ones (grey).
 
