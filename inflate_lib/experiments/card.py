@@ -124,7 +124,7 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
         .rename("value")
         .rename_axis("option")
     )
-    how = f"targets calibrated (a monotone fit) on {recipe.n_calibration} training structures (`inflate_lib.models.calibration`)"
+    how = f"targets calibrated on {recipe.n_calibration} training structures (`inflate_lib.models.calibration`)"
     card = folder / "README.md"
     text = _CARD.format(
         profile=about.get("profile", folder.name),
