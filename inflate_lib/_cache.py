@@ -73,18 +73,28 @@ def cached(kind: str, key: Mapping, make: Callable[[Path, Path], None], suffix: 
     CacheError
         The cache folder cannot be written, or `make` left no file. Errors of `make` itself pass through.
     """
-    text = json.dumps(_plain(key), sort_keys=True, allow_nan=False)
-    name = hashlib.sha256(text.encode()).hexdigest()[:16]
-    folder = paths.CACHE / kind
-    result = folder / f"{name}{suffix}"
+    text, result = _named(kind, key, suffix)
     if _is_whole(result):
         return result
+    folder, name = result.parent, result.stem
     with writing():
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder / f".{name}.lock", f"{kind} {name}"):
             if not _is_whole(result):  # another process may have made it while we waited
                 _make(result, text, make, scratch=folder / f".{name}.scratch")
     return result
+
+
+def kept(kind: str, key: Mapping, suffix: str) -> Path | None:
+    """The file that :func:`cached` would return at once; None where it would have to be made."""
+    _, result = _named(kind, key, suffix)
+    return result if _is_whole(result) else None
+
+
+def _named(kind, key, suffix):
+    """The key as text, and the file that it names."""
+    text = json.dumps(_plain(key), sort_keys=True, allow_nan=False)
+    return text, paths.CACHE / kind / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}{suffix}"
 
 
 @contextmanager

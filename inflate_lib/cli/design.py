@@ -43,6 +43,9 @@ def design(
     seconds: Annotated[float, typer.Option(help="Stop the search after so long.")] = 90.0,
     candidates: Annotated[int, typer.Option(min=1, help="Stop the search after so many.")] = 4096,
     refine: Annotated[int, typer.Option(min=0, help="Inflations spent on each near miss, pixel by pixel.")] = 60,
+    start_from: Annotated[
+        str, typer.Option(help="Candidates: drawings of the model, the nearest training structures, or both.")
+    ] = "both",
     profile: Annotated[
         str | None, typer.Option(help="Weights of this profile (the best in data/pretrained, else ci).")
     ] = None,
@@ -70,8 +73,8 @@ def design(
     try:
         with claimed_folder(out, number, overwrite, inputs) as folder:
             found = design(
-                targets, number, profile=profile, constraints=constraints, tolerance=tolerance, prefer=prefer,
-                seed=seed, seconds=seconds, max_candidates=candidates, refine=refine,
+                targets, number, profile=profile, start_from=start_from, constraints=constraints, tolerance=tolerance,
+                prefer=prefer, seed=seed, seconds=seconds, max_candidates=candidates, refine=refine,
             )  # fmt: skip
             print(found.summary())
             if found.designs:

@@ -17,7 +17,7 @@ from joblib.parallel import get_active_backend
 
 import inflate_lib
 from inflate_lib import _progress
-from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._cache import cached, digest, kept, step_version
 from inflate_lib._checks import is_whole_number
 from inflate_lib._files import draft
 from inflate_lib.datasets import _workers
@@ -150,16 +150,33 @@ def simulated_sevens(
     return load_dataset(simulated_sevens_file(source, n_structures, n_jobs, backend))
 
 
+def simulated_before(source: str) -> "xr.Dataset | None":
+    """The simulated sevens of a source, "mnist" or "digits", if they are at hand: nothing is downloaded or simulated.
+
+    Returns
+    -------
+    xarray.Dataset or None
+    """
+    if not sources.at_hand(source):
+        return None
+    file = kept("dataset", _key(sources.load_sevens(source)), ".nc")
+    return load_dataset(file) if file else None
+
+
 def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend=None):
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
-    sevens, code = sources.load_sevens(source, limit=n_structures), _code()
+    sevens = sources.load_sevens(source, limit=n_structures)
 
     def make(target, scratch):
         data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch, backend=backend)
-        data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": code}
+        data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": _code()}
         save_dataset(data, target)
 
-    return cached("dataset", {"images": digest(sevens.images), "steps": 10, "code": code}, make, ".nc")
+    return cached("dataset", _key(sevens), make, ".nc")
+
+
+def _key(sevens):
+    return {"images": digest(sevens.images), "steps": 10, "code": _code()}
 
 
 def _code():

@@ -195,6 +195,7 @@ def _search_record(designs):
         "within_tolerance": designs.within,
         "refined": designs.refined,
         "candidates": designs.tried,
+        "candidates_from": dict(designs.sources),
         "rejected": [_told(reason) | {"drawings": number} for reason, number in designs.rejected.most_common()],
         "stopped": _told(designs.stopped),
         "seed": designs.seed,
@@ -345,6 +346,7 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
         "largest_principal_stretch": one.shape.peak_stretch,
         "candidate": one.candidate,
         "origin": one.origin,
+        "novelty": one.novelty,
         "millimetres": {"frame": size_mm, "depth": depth_mm, "base of the mould": BASE_MM},
         "search": _search_record(designs),
     }

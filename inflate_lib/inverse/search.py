@@ -1,15 +1,16 @@
 """Inverse design: targets and constraints in; several different structures, each verified by inflating it, out.
 
-A model draws candidates in batches. Every one is labelled, inflated and described like the training data; what cannot
-be built or a constraint forbids is rejected and counted; near misses are refined pixel by pixel; what is within the
-tolerance of all targets is kept, until there are enough to choose from or the time or the candidates are used up. From
-those a diverse set is chosen.
+Candidates come in batches, from a model that draws them and from the training structures that are nearest to the
+targets (:mod:`inflate_lib.inverse.candidates`). Every one is labelled, inflated and described like the training data;
+what cannot be built or a constraint forbids is rejected and counted; near misses are refined pixel by pixel; what is
+within the tolerance of all targets is kept, until there are enough to choose from or the time or the candidates are
+used up. From those a diverse set is chosen.
 """
 
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -19,11 +20,13 @@ from joblib import Parallel, delayed
 
 from inflate_lib import paths
 from inflate_lib._checks import choice, positive_number, whole_number
-from inflate_lib.datasets.simulate import simulated_sevens
+from inflate_lib.alternatives.surrogate import centred
+from inflate_lib.datasets.simulate import simulated_before, simulated_sevens
+from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import Descriptors, describe, get_descriptor
 from inflate_lib.descriptors.registry import PHYSICAL, basic, registered
-from inflate_lib.diffusion import generate
 from inflate_lib.diffusion.storage import fingerprint
+from inflate_lib.inverse.candidates import STARTS, Drawings, Neighbours, differences
 from inflate_lib.inverse.constraints import Constraints, mirrored
 from inflate_lib.inverse.refine import Rejection, attempt
 from inflate_lib.inverse.refine import refine as refine_structure
@@ -32,7 +35,6 @@ from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.models.reach import check_reach
 from inflate_lib.models.recipe import load_recipe
 from inflate_lib.models.weights import Model, load_model, trained_models
-from inflate_lib.structures.labels import FRAME, OUTSIDE
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,7 +50,8 @@ class Stop(StrEnum):
     """Why a search ended."""
 
     ENOUGH = "There were enough to choose from."
-    CANDIDATES = "As many candidates had been drawn as were allowed."
+    CANDIDATES = "As many candidates had been tried as were allowed."
+    NONE_LEFT = "All training structures had been tried."
     TIME = "The time that was allowed was up."
 
 
@@ -68,8 +71,11 @@ class Design:
     candidate : int
         Its number among all candidates.
     origin : dict
-        How to draw it again: the seed and the conditions of its batch, its row there, and what was done to the drawing
-        (halves mirrored; pixels flipped, one after another).
+        How to make it again: the seed and the conditions of its batch and its row there, or the number of the training
+        structure; and what was done to the drawing (halves mirrored; pixels flipped, one after another).
+    novelty : float
+        Share of its pixels in which it differs from the nearest training structure, 0 for a copy, see
+        :func:`inflate_lib.inverse.candidates.differences`; NaN where these were not at hand, or it was not chosen.
     """
 
     label: np.ndarray
@@ -79,6 +85,7 @@ class Design:
     within: bool
     candidate: int
     origin: dict
+    novelty: float = np.nan
 
     @property
     def error(self) -> float:
@@ -98,9 +105,10 @@ class Designs:
     asked: int
     prefer: str | None
     seed: int
-    model: dict  # descriptor, digest of the weights, profile, source
-    sampling: dict
+    model: dict = field(default_factory=dict)  # descriptor, digest of the weights, profile, source; empty for none
+    sampling: dict = field(default_factory=dict)
     tried: int = 0
+    sources: Counter = field(default_factory=Counter)  # "model", "training" → candidates
     refined: int = 0  # misses that came within the tolerance by flipping pixels
     rejected: Counter = field(default_factory=Counter)  # Flaw or Rejection → drawings
     seconds: dict = field(default_factory=dict)  # generating, inflating, all
@@ -119,9 +127,11 @@ class Designs:
             row = {"design": number, "within": one.within}
             row |= {f"error {name} (%)": 100 * value for name, value in one.deviations.items()}
             row |= {title: float(one.shape.vector(name)[0]) for name, title in numbers.items()}
-            rows.append(row | {"peak σ/μ": one.shape.peak_stress / one.result.lame[1]})
+            rows.append(
+                row | {"peak σ/μ": one.shape.peak_stress / one.result.lame[1], "novelty (%)": 100 * one.novelty}
+            )
         names = [f"error {name} (%)" for name in self.targets.asked]
-        columns = ["design", "within", *names, *numbers.values(), "peak σ/μ"]
+        columns = ["design", "within", *names, *numbers.values(), "peak σ/μ", "novelty (%)"]
         return pd.DataFrame(rows, columns=columns)
 
     def summary(self) -> str:
@@ -135,6 +145,10 @@ class Designs:
             lines.append(f"The other {len(self.designs) - good} are the nearest misses, and are marked so.")
         if self.refined:
             lines.append(f"{self.refined} of the {self.within} were near misses, refined pixel by pixel.")
+        if len(self.sources) > 1:
+            lines.append(f"{self.sources['training']} candidates were training structures, the others drawn.")
+        if copies := sum(one.novelty == 0 for one in self.designs):
+            lines.append(f"{copies} of the {len(self.designs)} designs are training structures as they are.")
         if self.rejected:
             lines.append("All of these can be built. Drawings were rejected:")
             lines += [f"{n:6d}  {reason}" for reason, n in self.rejected.most_common()]
@@ -152,6 +166,7 @@ def design(
     model: Model | None = None,
     profile: str | None = None,
     data: "xr.Dataset | None" = None,
+    start_from: str = "both",
     constraints: Constraints | None = None,
     tolerance: float = 0.01,
     prefer: str | None = None,
@@ -176,7 +191,12 @@ def design(
     profile : str, optional
         Take the weights of this profile only.
     data : xarray.Dataset, optional
-        Simulated structures, which say what can be reached. By default that of the model (:mod:`.models.reach`).
+        Simulated structures: those that models are trained on are candidates, and all say what can be reached. By
+        default those of the model's source that were simulated before; where there are none, the model goes on alone,
+        and says so. For ``start_from="training"`` they are simulated.
+    start_from : {"both", "model", "training"}
+        Where candidates come from: half of each batch from the model and half from the training structures nearest to
+        the targets, or all from one of them (:mod:`inflate_lib.inverse.candidates`).
     constraints : Constraints, optional
     tolerance : float
         Largest relative error of every target.
@@ -205,52 +225,101 @@ def design(
     ------
     ValueError
         For targets that contradict each other or the constraints or are out of reach, and arguments out of range.
+    ConnectionError
+        With ``start_from="training"``, where MNIST cannot be had.
     """
     targets, constraints = as_targets(targets), constraints or Constraints()
-    _check(n, tolerance, prefer, seed, seconds, max_candidates, refine)
+    _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refine)
     _check_symmetric(targets, constraints, tolerance)
-    model = model or _find_model(targets, profile)
-    _check_model(model, targets)
-    try:
-        check_reach(targets.vectors, model.reach if data is None else data)
-    except ValueError as error:
-        raise ValueError(f"{error} {targets.measured}".strip()) from None
-    about, sampling = _about(model), dict(model.sampling)
-    found = Designs([], [], targets, constraints, tolerance, n, prefer, seed, about, sampling)
-    wanted, best, seen, clock = targets.vector(model.name), [], set(), Counter()
-    aim = np.clip(wanted, model.trained.condition_min, model.trained.condition_max)
+    if start_from == "training":
+        model = None
+    else:
+        model = model or _find_model(targets, profile)
+        _check_model(model, targets)
+        _check_reach(targets, model.reach if data is None else data)
+    structures = data if data is not None and "label" in data else None
+    if start_from != "model" and structures is None:
+        structures = _training_structures(model, say)
+    if model is None:
+        _check_reach(targets, structures)
+    search = Search(found := Designs([], [], targets, constraints, tolerance, n, prefer, seed), refine, n_jobs)
+    if start_from != "model" and structures is not None:
+        search.start_from(Neighbours(structures, targets, constraints))
+    if model is not None:
+        search.start_from(Drawings(model, targets, seed))
+        found.model, found.sampling = _about(model), dict(model.sampling)
     enough = n * _SURPLUS * (2 if prefer else 1)
     started, longest = time.monotonic(), 0.0
     while not found.stopped:
         begun = time.monotonic()
-        size = min(BATCH, max_candidates - found.tried)
-        batch = {"seed": int(np.random.SeedSequence([seed, found.tried]).generate_state(1)[0])}
-        batch |= {"first": found.tried, "size": size, "conditions": aim.tolist()}
-        images = generate(model.trained, np.tile(aim, (size, 1)), seed=batch["seed"], **sampling)
-        drawn = time.monotonic()
-        new = _verified(images, batch, found, seen, n_jobs)
-        found.tried += size
-        if new:
-            aim = _corrected(aim, wanted, [one.shape.vector(model.name) for one in new], model.trained)
-        new = _refined(new, found, seen, refine, n_jobs)
+        more = search.go_on(min(BATCH, max_candidates - found.tried))
         now = time.monotonic()
-        clock += Counter(generating=drawn - begun, inflating=now - drawn)
         longest = max(longest, now - begun)
-        best = sorted([*best, *new], key=lambda one: (one.error, one.candidate))
-        found.pool = [one for one in best if one.within]
-        best = best[: found.within + n]  # of the misses only the nearest
         if say:
-            nearest = f", the best misses by {100 * best[0].error:.2f} %" if best else ""
+            nearest = f", the best misses by {100 * search.best[0].error:.2f} %" if search.best else ""
             say(f"{now - started:.0f} s: {found.within} within {tolerance:.2g} among {found.tried} candidates{nearest}")
         if found.within >= enough:
             found.stopped = Stop.ENOUGH
         elif found.tried >= max_candidates:
             found.stopped = Stop.CANDIDATES
+        elif not more:
+            found.stopped = Stop.NONE_LEFT
         elif now - started + longest > seconds:
             found.stopped = Stop.TIME
-    found.designs = choose(best, n, prefer)
-    found.seconds = {**clock, "all": time.monotonic() - started}
+    found.designs = choose(search.best, n, prefer)
+    if structures is not None:
+        library = structures["label"].values[training_rows(structures)]
+        novelty = differences([one.label for one in found.designs], library).min(axis=1)
+        found.designs = [replace(one, novelty=float(n)) for one, n in zip(found.designs, novelty, strict=True)]
+    found.seconds["all"] = time.monotonic() - started
     return found
+
+
+class Search:
+    """The search itself, batch by batch: candidates of one or several sources are verified, judged and refined.
+
+    Parameters
+    ----------
+    found : Designs
+        What is looked for; candidates within the tolerance, counts and clocks are put there.
+    refine, n_jobs
+        As in :func:`design`.
+
+    Attributes
+    ----------
+    best : list of Design
+        All that are within the tolerance and the nearest misses, the best first.
+    """
+
+    def __init__(self, found: Designs, refine: int = 60, n_jobs: int = -1):
+        self.found, self.refine, self.n_jobs = found, refine, n_jobs
+        self.sources: list[Drawings | Neighbours] = []
+        self.best: list[Design] = []
+        self._seen: set[bytes] = set()
+
+    def start_from(self, source: Drawings | Neighbours) -> None:
+        """Take candidates from this source, too."""
+        self.sources.append(source)
+
+    def go_on(self, size: int) -> bool:
+        """Try one batch, shared out among the sources; False where none of them had a candidate left."""
+        found, new, left = self.found, [], size
+        for number, source in enumerate(self.sources):
+            begun = time.monotonic()
+            images, origins = source.take(left // (len(self.sources) - number), found.tried)
+            drawn = time.monotonic()
+            verified = _verified(images, origins, found, self._seen, self.n_jobs)
+            source.learn([one.shape for one in verified])
+            new += _refined(verified, found, self._seen, self.refine, self.n_jobs)
+            left -= len(images)
+            found.tried += len(images)
+            found.sources[source.name] += len(images)
+            for name, value in {"generating": drawn - begun, "inflating": time.monotonic() - drawn}.items():
+                found.seconds[name] = found.seconds.get(name, 0.0) + value
+        self.best = sorted([*self.best, *new], key=lambda one: (one.error, one.candidate))
+        found.pool = [one for one in self.best if one.within]
+        self.best = self.best[: found.within + found.asked]  # of the misses only the nearest
+        return left < size
 
 
 def _find_model(targets, profile=None):
@@ -290,15 +359,6 @@ def models_in_order():
     return sorted(own, key=lambda one: -one.length)
 
 
-def _corrected(aim, wanted, achieved, model):
-    """Conditions for the next batch: moved against the median miss of this one, so that the middle of the next hits.
-
-    Kept within the range that the model was trained on.
-    """
-    miss = np.median(achieved, axis=0) - wanted
-    return np.clip(aim - miss, model.condition_min, model.condition_max)
-
-
 def choose(pool: list[Design], n: int, prefer: str | None = None) -> list[Design]:
     """`n` designs of a pool in the order of their error: as different as can be among those within the tolerance.
 
@@ -319,22 +379,20 @@ def choose(pool: list[Design], n: int, prefer: str | None = None) -> list[Design
 def _diverse(labels, n):
     """Row numbers of `n` label images that differ from one another (greedy max–min), the first image among them.
 
-    Two images differ by the share of the pixels of both, middle laid on middle, that are not the same.
+    How much they differ, :func:`inflate_lib.inverse.candidates.differences` says.
     """
     if not labels:
         return []
-    aligned = np.array([_aligned(label) for label in labels])
+    labels = np.array(labels)
     nearest, chosen = np.full(len(labels), np.inf), [0]
     while len(chosen) < min(n, len(labels)):
-        differ = (aligned != aligned[chosen[-1]]).sum(axis=(1, 2))
-        either = ((aligned != OUTSIDE) | (aligned[chosen[-1]] != OUTSIDE)).sum(axis=(1, 2))
-        nearest = np.minimum(nearest, differ / either)
+        nearest = np.minimum(nearest, differences(labels[chosen[-1]], labels)[0])
         nearest[chosen] = -1
         chosen.append(int(nearest.argmax()))
     return chosen
 
 
-def _verified(images, batch, found, seen, n_jobs):
+def _verified(images, origins, found, seen, n_jobs):
     """The designs among the images of a batch; what is none is counted in ``found.rejected``."""
     drawings = [(row, "as drawn", image) for row, image in enumerate(images)]
     if found.constraints.symmetric:
@@ -345,12 +403,12 @@ def _verified(images, batch, found, seen, n_jobs):
     )
     designs = []
     for (row, kind, _), (reason, label, result) in zip(drawings, attempts, strict=True):
-        key = None if reason else _aligned(label).tobytes()
+        key = None if reason else _key(label)
         if reason or key in seen:
             found.rejected[reason or Rejection.REPEATED] += 1
             continue
         seen.add(key)
-        designs.append(_measured(label, result, found, batch["first"] + row, batch | {"row": row, "drawing": kind}))
+        designs.append(_measured(label, result, found, found.tried + row, origins[row] | {"drawing": kind}))
     return designs
 
 
@@ -367,13 +425,13 @@ def _refined(designs, found, seen, tries, n_jobs):
     goal = found.tolerance * INSIDE
     done = Parallel(n_jobs=n_jobs, backend="threading")(
         delayed(refine_structure)(
-            one.label, one.result, found.targets, found.constraints, goal, tries, [one.origin["seed"], one.candidate]
+            one.label, one.result, found.targets, found.constraints, goal, tries, [found.seed, one.candidate]
         )
         for one in near
     )
     better = {}
     for one, (label, result, flipped) in zip(near, done, strict=True):
-        if not flipped or (key := _aligned(label).tobytes()) in seen:
+        if not flipped or (key := _key(label)) in seen:
             continue
         seen.add(key)
         better[id(one)] = _measured(label, result, found, one.candidate, one.origin | {"flipped": flipped})
@@ -381,10 +439,19 @@ def _refined(designs, found, seen, tries, n_jobs):
     return [better.get(id(one), one) for one in designs]
 
 
-def _aligned(label):
-    """A label image with its middle column in the middle of the frame: the same structure elsewhere looks the same."""
-    columns = np.flatnonzero(np.any(label != OUTSIDE, axis=0))
-    return np.roll(label, (FRAME - 1 - columns[0] - columns[-1]) // 2, axis=1)
+def _key(label):
+    """What two label images have in common that are the same structure, wherever it stands."""
+    return centred(label[None]).tobytes()
+
+
+def _training_structures(model, say):
+    """The structures that a model was trained on, None where they were not simulated before; without a model, made."""
+    if not model:
+        return simulated_sevens()
+    structures = simulated_before(model.trained.metadata.get("source", "digits"))
+    if structures is None and say:
+        say("The model goes on alone: no simulated training structures are at hand (inflate dataset makes them).")
+    return structures
 
 
 def _about(model):
@@ -394,7 +461,7 @@ def _about(model):
     return about | {key: trained.metadata[key] for key in ("profile", "source", "pairs") if key in trained.metadata}
 
 
-def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
+def _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refine):
     whole = (("n", n, 1), ("seed", seed, 0), ("max_candidates", max_candidates, 1), ("refine", refine, 0))
     for name, value, least in whole:
         whole_number(name, value, least)
@@ -402,6 +469,7 @@ def _check(n, tolerance, prefer, seed, seconds, max_candidates, refine):
     positive_number("seconds", seconds, finite=False)
     if prefer is not None:
         choice("prefer", prefer, _PREFERENCES)
+    choice("start_from", start_from, STARTS)
 
 
 def _check_model(model, targets):
@@ -416,6 +484,14 @@ def _check_model(model, targets):
             f"the {name} model was trained for parts of lengths {parts}, and {', '.join(told.parts)} have "
             f"{lengths}: train it again (inflate train --descriptor {name})"
         )
+
+
+def _check_reach(targets, data):
+    """A ValueError where targets are out of reach, with what an outline was measured by."""
+    try:
+        check_reach(targets.vectors, data)
+    except ValueError as error:
+        raise ValueError(f"{error} {targets.measured}".strip()) from None
 
 
 def _no_joint_model(targets):

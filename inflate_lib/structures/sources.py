@@ -113,6 +113,11 @@ def load_sevens(source: str = "auto", limit: int | None = None, split: str = "tr
     return Sevens(images[:limit], source, description)
 
 
+def at_hand(source: str) -> bool:
+    """Whether the training images of a source are here, so that nothing would have to be downloaded."""
+    return source == "digits" or bool(os.environ.get("INFLATE_MNIST_DIR")) or all(map(_is_kept, _FILES["train"]))
+
+
 def _mnist_sevens(split):
     images_name, labels_name = _FILES[split]
     labels = np.frombuffer(_read(labels_name), np.uint8, offset=8)

@@ -373,6 +373,17 @@ def test_simulated_sevens_come_from_the_cache(tmp_path, monkeypatch):
     assert not any(name.endswith("scratch") for name in os.listdir(file.parent))
 
 
+def test_what_was_not_simulated_before_is_not_simulated_now(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "CACHE", tmp_path)
+    few = load_sevens("digits", 3)
+    monkeypatch.setattr(simulate.sources, "load_sevens", lambda source, limit=None: few)
+    assert simulate.simulated_before("digits") is None
+    data = simulated_sevens("digits", n_jobs=1)
+    xr.testing.assert_identical(simulate.simulated_before("digits"), data)
+    monkeypatch.setattr(simulate.sources, "at_hand", lambda source: False)
+    assert simulate.simulated_before("mnist") is None
+
+
 def test_every_embedded_seven_converges():
     data = simulate_dataset(DIGITS, n_steps=2)
     assert data.converged.all() and not (data.reason != "").any()

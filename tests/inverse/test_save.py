@@ -186,7 +186,7 @@ def test_every_file_is_read_by_others(designs, tmp_path):
         assert f"file = {folder.name}.e" in (folder / "moose" / f"{folder.name}.i").read_text()
         record = json.loads((folder / "design.json").read_text())
         assert record["achieved"]["height"] == one.shape.height and record["search"]["seed"] == 7
-        assert record["origin"]["conditions"] == [0.9, None]
+        assert record["origin"]["conditions"] == [0.9, None] and record["novelty"] is None
         assert record["search"]["model"]["weights"] == "0123" and record["search"]["versions"]["numpy"]
         assert record["search"]["constraints"] == {"min_void": 1 / 28}
         assert record["search"]["stopped"]["reason"] == "candidates"

@@ -13,14 +13,17 @@ from scipy import ndimage
 from inflate_lib import describe, design, inflate, label_image, paths
 from inflate_lib.cli import app
 from inflate_lib.datasets.simulate import simulate_dataset
+from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
+from inflate_lib.inverse import candidates
 from inflate_lib.inverse import refine as refining
 from inflate_lib.inverse import search as searching
+from inflate_lib.inverse.candidates import Neighbours, _corrected, differences
 from inflate_lib.inverse.constraints import Constraints, _is_symmetric, mirrored
 from inflate_lib.inverse.refine import Rejection, attempt, refine, with_flipped
-from inflate_lib.inverse.search import Stop, _corrected, _diverse, _find_model, models_in_order
+from inflate_lib.inverse.search import Stop, _diverse, _find_model, models_in_order
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.mechanics import Flaw, find_flaw, stress
 from inflate_lib.models.reach import save_reach
@@ -55,7 +58,7 @@ def model(monkeypatch, data):
         trained.told.append(conditions)
         return DIGITS[(start + np.arange(len(conditions))) % len(DIGITS)].astype(np.float32) / 255
 
-    monkeypatch.setattr(searching, "generate", draw)
+    monkeypatch.setattr(candidates, "generate", draw)
     return model
 
 
@@ -63,7 +66,8 @@ def model(monkeypatch, data):
 def search(model, data):
     def search(targets, n=3, **options):
         defaults = {"max_candidates": len(DIGITS), "seconds": 600, "say": None, "n_jobs": 1, "refine": 0}
-        return design(targets, n, model=model, data=data, **defaults | options)
+        defaults["start_from"] = "model"
+        return design(targets, n, model=model, **{"data": data} | defaults | options)
 
     return search
 
@@ -105,7 +109,7 @@ def test_what_is_handed_out_can_be_built(search, data, monkeypatch):
 
     The embedded sevens have no joints of one node, so that every fifth drawing is replaced by one that has.
     """
-    draw, height, rejected = searching.generate, float(np.median(data.height)), Counter()
+    draw, height, rejected = candidates.generate, float(np.median(data.height)), Counter()
     chain = np.zeros((28, 28), np.float32)
     chain[4:14, 10:14] = chain[14:24, 14:18] = 1  # two rooms that share a corner
 
@@ -114,7 +118,7 @@ def test_what_is_handed_out_can_be_built(search, data, monkeypatch):
         images[::5] = chain
         return images
 
-    monkeypatch.setattr(searching, "generate", some_joined)
+    monkeypatch.setattr(candidates, "generate", some_joined)
     for target, options in (
         ({"height": height}, {"tolerance": 0.01, "refine": 10, "max_candidates": 32}),
         ({"height": float(data.height.max())}, {"tolerance": 1e-4, "max_candidates": 32}),
@@ -175,8 +179,8 @@ def test_it_stops_when_there_is_enough_or_the_time_is_up(search, data, monkeypat
 
 def test_the_seed_decides(model, search, data, monkeypatch):
     seeds = []
-    draw = searching.generate
-    monkeypatch.setattr(searching, "generate", lambda *a, seed, **k: (seeds.append(seed), draw(*a, seed=seed, **k))[1])
+    draw = candidates.generate
+    monkeypatch.setattr(candidates, "generate", lambda *a, seed, **k: (seeds.append(seed), draw(*a, seed=seed, **k))[1])
     monkeypatch.setattr(searching, "BATCH", 60)
     search({"height": 0.9}, 60, seed=3)
     search({"height": 0.9}, 60, seed=3)
@@ -210,16 +214,20 @@ def test_the_next_batch_is_told_the_correction(search, model, data, monkeypatch)
 
 def test_diversity_is_greedy_max_min():
     labels = [label_image(image) for image in DIGITS[:25]]
-    aligned = [searching._aligned(label) for label in labels]
 
-    def distance(a, b):
-        either = (a > 0) | (b > 0)
-        return (a != b)[either].sum() / either.sum()
+    def middle(label):
+        columns = np.flatnonzero(label.any(axis=0))
+        return np.roll(label, (FRAME - 1 - columns[0] - columns[-1]) // 2, axis=1)
+
+    def distance(i, j):
+        a, b = middle(labels[i]), labels[j]
+        shares = [(a != c)[(a > 0) | (c > 0)].mean() for c in (middle(b), middle(b[:, ::-1]))]
+        return min(shares)
 
     chosen = _diverse(labels, 6)
     assert chosen[0] == 0 and len(set(chosen)) == 6
     for k in range(1, 6):
-        nearest = [min(distance(aligned[i], aligned[j]) for j in chosen[:k]) for i in range(25)]
+        nearest = [min(distance(i, j) for j in chosen[:k]) for i in range(25)]
         assert nearest[chosen[k]] == pytest.approx(max(nearest))
     assert sorted(_diverse(labels, 40)) == list(range(25)) and _diverse([], 3) == []
 
@@ -228,7 +236,87 @@ def test_the_same_structure_elsewhere_is_not_another():
     label = label_image(DIGITS[0])
     shifted = [np.roll(label, shift, axis=1) for shift in (-2, 1, 2)]
     other = label_image(DIGITS[1])
-    assert _diverse([label, *shifted, other], 2) == [0, 4]
+    assert _diverse([label, *shifted, label[:, ::-1], other], 2) == [0, 5]
+    assert differences(label, [label, label[:, ::-1], *shifted]) == pytest.approx(0)
+    assert 0 < differences(label, [other])[0] == differences(other, [label])[0] <= 1
+
+
+def test_training_structures_come_in_the_order_of_their_largest_error(data):
+    """Against every training structure and its mirror image, labelled, inflated and compared anew."""
+    rows = training_rows(data)
+    lean = data.medial_axis.values[rows[3]] * [-1, 1]  # of a mirror image
+    axis = Targets(axis=lean, width=float(data.width[rows[3]]))
+    for targets, mirrors in ((Targets(height=0.9, area=0.7), (False,)), (axis, (False, True))):
+        expected = {}
+        for row in rows:
+            for mirrored_one in mirrors:
+                image = DIGITS[row][:, ::-1] if mirrored_one else DIGITS[row]
+                misses = deviations(targets, describe(inflate(label_image(image))))
+                expected[int(row), mirrored_one] = max(misses.values())
+        source = Neighbours(data, targets, Constraints())
+        (images, first), (_, later) = source.take(50, 0), source.take(1000, 50)
+        order = [(one["training structure"], one["mirrored"]) for one in first + later]
+        assert sorted(order) == sorted(expected) and not source.take(5, 0)[1]
+        errors = [expected[key] for key in order]
+        assert errors == pytest.approx(sorted(expected.values()), abs=1e-6)
+        row, mirrored_one = order[0]
+        image = DIGITS[row][:, ::-1] if mirrored_one else DIGITS[row]
+        assert np.array_equal(label_image(images[0]), label_image(image))
+    assert order[0] == (rows[3], True) and errors[0] < 1e-6
+
+
+def test_both_share_a_batch_and_the_seed_decides(search, model, data):
+    target = {"height": float(np.median(data.height)), "width": float(np.median(data.width))}
+    options = {"start_from": "both", "tolerance": 0.02, "max_candidates": 64, "refine": 20}
+    found = search(target, 12, **options)
+    assert found.sources == {"training": 32, "model": 32}
+    assert {"training structure" in one.origin for one in found.pool} == {True, False}
+    model.trained.told.clear()
+    again = search(target, 12, **options)
+    assert [one.label.tobytes() for one in again.designs] == [one.label.tobytes() for one in found.designs]
+    assert [one.novelty for one in again.designs] == [one.novelty for one in found.designs]
+    for one in found.pool:
+        if "training structure" in one.origin:
+            label = label_image(DIGITS[one.origin["training structure"]])
+            for row, column in one.origin.get("flipped", []):
+                label = label_image(with_flipped(label, row, column))
+            assert np.array_equal(label, one.label)
+
+
+def test_copies_of_training_structures_are_counted(search, data):
+    target = {"height": float(np.median(data.height)), "width": float(np.median(data.width))}
+    found = search(target, 12, start_from="training", tolerance=0.02, max_candidates=64, refine=20)
+    library = data.label.values[training_rows(data)]
+    for one in found.designs:
+        assert one.novelty == pytest.approx(differences(one.label, library).min())
+    copies = sum(one.novelty == 0 for one in found.designs)
+    assert 0 < copies < 12 and f"{copies} of the 12 designs are training structures as they are" in found.summary()
+    assert all(one.novelty == 0 for one in found.designs if "flipped" not in one.origin)
+    assert found.model == {} and found.table()["novelty (%)"].tolist() == [100 * one.novelty for one in found.designs]
+
+
+def test_the_search_ends_when_every_training_structure_was_tried(search, data):
+    found = search({"height": 0.9}, 150, start_from="training", tolerance=1e-6, max_candidates=4096)
+    assert found.stopped is Stop.NONE_LEFT and found.tried == len(training_rows(data))
+
+
+@pytest.mark.parametrize("demand", [Constraints(min_void=2 * PIXEL), Constraints(keep_out=(0.0, 0.0, 0.2, 2.0)),
+                                    Constraints(symmetric=True)])  # fmt: skip
+def test_constraints_hold_wherever_candidates_come_from(search, data, demand):
+    height = float(np.median(data.height))
+    found = search({"height": height}, 40, start_from="both", tolerance=0.1, constraints=demand, max_candidates=64)
+    assert {"training structure" in one.origin for one in found.pool} == {True, False}
+    for one in found.pool:
+        assert not demand.broken_by(one.label) and not demand.broken_when_inflated(one.result)
+
+
+def test_without_training_structures_the_model_goes_on_alone_and_says_so(search, monkeypatch):
+    monkeypatch.setattr(searching, "simulated_before", lambda source: None)
+    said = []
+    options = {"data": None, "tolerance": 0.05, "max_candidates": 64, "say": said.append}
+    found = search({"height": 0.9}, 2, start_from="both", **options)
+    assert found.sources == {"model": 64} and found.designs and np.isnan(found.designs[0].novelty)
+    assert "The model goes on alone" in said[0] and "inflate dataset" in said[0]
 
 
 def test_constraints_hold_for_all_that_is_handed_out(search, data):
@@ -358,7 +446,7 @@ def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
     config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS)
     trained = TrainedModel(config.make_net(65).eval(), config, np.full(65, -2.0), np.full(65, 2.0))
     model = Model("joint", trained, {"sampler": "ddim", "steps": 2}, reach=data)
-    found = design({"height": 0.9}, 2, model=model, max_candidates=8, say=None)
+    found = design({"height": 0.9}, 2, model=model, start_from="model", max_candidates=8, say=None)
     assert found.tried == 8 and sum(found.rejected.values()) <= 8
     assert len(found.designs) <= 2 and found.summary()
     assert found.table().columns[:3].tolist() == ["design", "within", "error height (%)"]
@@ -413,6 +501,7 @@ def test_a_joint_model_of_other_parts_is_refused(data):
         ({"seed": -1}, "seed must be"),
         ({"seed": 1.5}, "seed must be"),
         ({"refine": -1}, "refine must be"),
+        ({"start_from": "nothing"}, "start_from must be.*both, model"),
     ],
 )
 def test_arguments_out_of_range_are_refused(search, options, message):
@@ -472,6 +561,7 @@ def test_too_few_designs_are_written_and_the_exit_code_says_so(run, data):
         (["--outline", "ring.svg", "--height", "1"], "leave the others out"),
         (["--height", "0.9", "--tolerance", "-1"], "tolerance"),
         (["--height", "0.9", "--prefer", "nothing"], "low-stress"),
+        (["--height", "0.9", "--start-from", "nothing"], "start_from must be one of both, model, training"),
         (["--height", "0.9", "--stress", "0.2"], "stress can be asked of the joint model only"),
         (["--stretch", "0.5"], "at least 1, not 0.5"),
         (["--height", "0.9", "--size-mm", "0"], "size_mm"),
@@ -502,7 +592,7 @@ def test_an_interrupted_search_says_so_and_writes_nothing(run, tmp_path, monkeyp
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(searching, "generate", interrupted)
+    monkeypatch.setattr(candidates, "generate", interrupted)
     code, _, err = run("--height", "0.9", "--out", "out")
     assert code == 130 and "interrupted; nothing was written to out" in err
     assert os.listdir() == []

@@ -15,7 +15,7 @@ from sklearn.datasets import load_digits
 from inflate_lib import paths
 from inflate_lib._cache import CacheError
 from inflate_lib.structures import sources
-from inflate_lib.structures.sources import _FILES, load_sevens, resolve_source
+from inflate_lib.structures.sources import _FILES, at_hand, load_sevens, resolve_source
 
 IMAGES, LABELS = _FILES["train"]
 
@@ -48,6 +48,15 @@ def no_folder(monkeypatch):
     """No folder named, and a network of which nothing is known yet."""
     monkeypatch.delenv("INFLATE_MNIST_DIR", raising=False)
     monkeypatch.setattr(sources, "_network_failure", None)
+
+
+def test_what_is_at_hand_needs_no_download(small_mnist, monkeypatch):
+    assert at_hand("digits") and at_hand("mnist")
+    load_sevens("mnist")
+    monkeypatch.delenv("INFLATE_MNIST_DIR")
+    assert at_hand("mnist")  # a copy is in the cache
+    (paths.CACHE / "mnist" / LABELS).unlink()
+    assert not at_hand("mnist") and at_hand("digits")
 
 
 def test_sevens_are_picked_in_order(small_mnist):
