@@ -1,6 +1,7 @@
 """Checks of arguments; each error names the argument and what was given for it."""
 
 import math
+import reprlib
 from collections.abc import Collection
 from typing import Any
 
@@ -27,6 +28,30 @@ def number(name: str, value: Any, least: float = -math.inf, below: float = math.
     bounds = [f"at least {least:.4g}"] * (least > -math.inf) + [f"less than {below:.4g}"] * (below < math.inf)
     wanted = f"a number of {' and '.join(bounds)}" if bounds else "a finite number"
     raise ValueError(f"{name} must be {wanted}, not {value!r}{_hint(value)}")
+
+
+def numbers(name: str, values: Any, wanted: str, count: int | None = None, finite: bool = True) -> np.ndarray:
+    """`values` as an array of floats, or a ValueError where they are not what is `wanted`, `count` numbers in a row.
+
+    Truth values, text and complex numbers are no numbers, and what a mask hides is not guessed.
+    """
+    try:
+        typed = hasattr(values, "dtype")  # an array, a tensor, a column of a table
+        found = np.asarray(values) if typed else np.array(values, dtype=object)
+        fits = found.dtype.kind in "iuf" if typed else all(map(_is_number, found.flat))
+        fits = fits and not np.ma.isMaskedArray(values) and (count is None or found.shape == (count,))
+        if fits and (np.isfinite(found := found.astype(float)).all() or not finite):
+            return found
+    except (TypeError, ValueError, RuntimeError, OverflowError):  # ragged; tensors that NumPy cannot take; 10**400
+        pass
+    raise ValueError(f"{name} must be {wanted}, not {' '.join(reprlib.repr(values).split())}")
+
+
+def workers(value: Any) -> int:
+    """`value` as a number of processes or threads, `n_jobs`, or a ValueError where it is none; -1 is one per core."""
+    if is_whole_number(value) and value != 0:
+        return int(value)
+    raise ValueError(f"n_jobs must be 1, 2, … processes or -1 for one per core, not {value!r}")
 
 
 def share(name: str, value: Any) -> float:

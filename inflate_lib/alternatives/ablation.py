@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from inflate_lib._checks import whole_number
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.diffusion import TrainingConfig
 from inflate_lib.experiments.calibrate import calibrate
@@ -90,6 +91,8 @@ def sampling_ablation(
     pandas.DataFrame
         A row per way: group, variant, and of each measure the value with low and high, the ends of its interval.
     """
+    whole_number("seed", seed, 0)
+    whole_number("n_calibration", n_calibration, 0)
     rows = []
     for (group, name), options in _sampling_variants(model.sampling).items():
         measured = evaluate_variant(model.sampled(**options), data, targets, seed, n_calibration=n_calibration)

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._checks import whole_number, workers
 from inflate_lib.alternatives._training import train_once
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -159,6 +160,8 @@ def run_autoencoder(
     calibration: Calibration | None = None,
 ) -> "xr.Dataset":
     """One structure that an autoencoder draws for each target (k, N), as :func:`.run_experiment` does."""
+    whole_number("seed", seed, 0)
+    workers(n_jobs)
     targets = check_targets(model, descriptor, targets)
     told = targets if calibration is None else calibration.told(targets)
 

@@ -15,6 +15,7 @@ import torch
 from scipy.special import comb
 
 from inflate_lib._cache import cached, step_version
+from inflate_lib._checks import whole_number
 from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
@@ -95,6 +96,10 @@ def selection(
         not valid), buildable (share of picks that can be built), seconds. Errors in percent of the target, for axes in
         pixels. A pick that is not valid counts as an infinite error.
     """
+    whole_number("seed", seed, 0)
+    whole_number("n_resamples", n_resamples, 1)
+    for n in ns:
+        whole_number("ns", n, 1)
     targets = np.unique(candidates["level"].values)
     shape = len(targets), candidates.sizes["structure"] // len(targets)
     target = candidates["target"].values

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from sklearn.neighbors import NearestNeighbors
 
+from inflate_lib._checks import whole_number
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion.randomness import seed_for
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 def random_structures(data: "xr.Dataset", descriptor: str, targets: np.ndarray, seed: int = 0) -> "xr.Dataset":
     """A real structure for each target, whatever the target, as an experiment (:func:`.as_experiment`)."""
+    whole_number("seed", seed, 0)
     rows = np.random.default_rng(seed_for(seed, descriptor, "chance")).choice(training_rows(data), len(targets))
     return as_experiment(data.isel(structure=rows), descriptor, np.asarray(targets))
 

@@ -20,6 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._checks import number, whole_number
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors.registry import added_version
 from inflate_lib.diffusion import process
@@ -98,6 +99,9 @@ def steer(
     -------
     array, shape (m, 28, 28), float32 in [0, 1]
     """
+    number("strength", strength, least=0)
+    whole_number("seed", seed, 0)
+    whole_number("start", start, 0)
     columns, network = trained.columns(model.name), model.trained
     options = {"steps": 20, "eta": 1.0, "guidance": 1.0, **model.sampling}
     y = torch.from_numpy(network.scaled(np.asarray(told, dtype=float))).float()

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from inflate_lib._cache import digest
+from inflate_lib._checks import whole_number
 from inflate_lib.alternatives._training import train_once
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
@@ -102,6 +103,8 @@ def train_surrogate(
     -------
     Surrogate
     """
+    whole_number("steps", steps, 1)
+    whole_number("seed", seed, 0)
     rows = training_rows(data) if rows is None else rows
     answers = answers or name_of(one.name for one in basic() if one.of_nodes and one.variable in data)
     told = get_descriptor(answers)

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from inflate_lib._cache import digest
+from inflate_lib._checks import whole_number
 from inflate_lib.datasets.split import held_out, training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.structures import augmentation
@@ -35,6 +36,8 @@ class TrainingSet:
 
     def __post_init__(self):
         get_descriptor(self.descriptor)  # refuses a name that is none
+        whole_number("n_augmented", self.n_augmented, 1)
+        whole_number("seed", self.seed, 0)
 
     @cached_property
     def originals(self) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from joblib.parallel import get_active_backend
 import inflate_lib
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, kept, step_version
-from inflate_lib._checks import is_whole_number
+from inflate_lib._checks import whole_number, workers
 from inflate_lib._files import draft
 from inflate_lib.datasets import _workers
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -106,8 +106,7 @@ def simulate_dataset(
     images = _as_sequence(images)
     if n_jobs is None:
         n_jobs = get_active_backend()[1] or -1
-    if not is_whole_number(n_jobs) or n_jobs == 0:
-        raise ValueError(f"n_jobs must be 1, 2, … processes or -1 for one per core, not {n_jobs!r}")
+    workers(n_jobs)
     inflation.check_steps(n_steps)
     if time_limit is None:
         time_limit = max(TIME_LIMIT[0], TIME_LIMIT[1] * n_steps)
@@ -165,6 +164,10 @@ def simulated_before(source: str) -> "xr.Dataset | None":
 
 def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend=None):
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
+    if n_jobs is not None:
+        workers(n_jobs)
+    if n_structures is not None:
+        whole_number("n_structures", n_structures, 1)
     sevens = sources.load_sevens(source, limit=n_structures)
 
     def make(target, scratch):

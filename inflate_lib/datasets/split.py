@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from inflate_lib._checks import whole_number
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -18,7 +20,7 @@ def held_out(n: int) -> np.ndarray:
     -------
     (n,) bool
     """
-    return np.arange(n) % 10 == 9
+    return np.arange(whole_number("n", n, 0)) % 10 == 9
 
 
 def training_rows(data: "xr.Dataset") -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from inflate_lib._cache import digest
-from inflate_lib._checks import number, positive_number
+from inflate_lib._checks import number, numbers, positive_number
 from inflate_lib.descriptors.distances import POINT_DISTANCE, RELATIVE, PointDistance, RelativeError
 from inflate_lib.descriptors.shape import (
     AXIS_POINTS,
@@ -156,13 +156,10 @@ class Descriptor:
     def target(self, value: Any) -> np.ndarray:
         """(N,) the target that is meant by a value, or a ValueError."""
         checked = value if self.check is None else self.check(self.name, value)
-        try:
-            vector = np.ravel(np.asarray(checked, dtype=float))
-        except (TypeError, ValueError, RuntimeError):
-            vector = np.empty(0)
-        if vector.size != self.length or not np.isfinite(vector).all():
-            numbers = f"{self.length} finite number{'s' * (self.length > 1)}"
-            raise ValueError(f"{self.name} must be {numbers}, not {value!r}")
+        wanted = f"{self.length} finite number{'s' * (self.length > 1)}"
+        vector = np.ravel(numbers(self.name, checked, wanted))
+        if vector.size != self.length:
+            raise ValueError(f"{self.name} must be {wanted}, not {value!r}")
         return vector
 
     def conditions(self, name: str, values: np.ndarray) -> np.ndarray:

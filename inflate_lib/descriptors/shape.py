@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from inflate_lib._checks import numbers, whole_number
+
 if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
 
@@ -38,8 +40,7 @@ class Shape:
         """The shape of an inflation at a load step, or of nodes; see :func:`inflate_lib.describe`."""
         if hasattr(result, "deformed"):
             n_steps = len(result.load_steps)
-            if not isinstance(step, int | np.integer) or not -n_steps <= step < n_steps:
-                raise ValueError(f"step must be one of the {n_steps} load steps, not {step!r}")
+            step = whole_number("step", step, -n_steps, n_steps - 1)
             nodes, inflation = result.deformed(step), replace(result, displacement=result.displacement[[step]])
             if not np.isfinite(nodes).all():
                 raise ValueError(f"the structure has no equilibrium to describe: {result.reason}")
@@ -53,10 +54,7 @@ class Shape:
 
 
 def _checked(nodes):
-    try:
-        nodes = np.asarray(nodes, dtype=float)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"nodes: not an array of numbers ({error})") from None
+    nodes = numbers("nodes", nodes, "coordinates of shape (n, 2)", finite=False)
     if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) < 3:
         raise ValueError(f"nodes: coordinates of shape (n, 2) of three nodes or more are needed, not {nodes.shape}")
     if not np.isfinite(nodes).all():
@@ -79,6 +77,7 @@ def medial_axis(hull: np.ndarray, points: int = AXIS_POINTS) -> np.ndarray:
     axis : (points, 2) float
         From the bottom upwards; the first point is the origin.
     """
+    whole_number("points", points, 1)
     left, right = hull_sides(hull)
     bottom, top = hull[:, 1].min(), hull[:, 1].max()
     height = bottom + (top - bottom) * np.arange(points) / points
@@ -136,10 +135,7 @@ def check_axis(name: str, value: Any) -> np.ndarray:
 
 def check_points(name: str, value: Any) -> np.ndarray:
     """Points (k, 2), or a ValueError."""
-    try:
-        points = np.array(value, dtype=float)
-    except (TypeError, ValueError, RuntimeError):
-        points = np.empty(0)
+    points = numbers(name, value, "points of shape (k, 2)", finite=False)
     if points.ndim != 2 or points.shape[1] != 2:
         raise ValueError(f"{name}: points of shape (k, 2) are needed")
     if not np.isfinite(points).all():

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inflate_lib._checks import choice, number, positive_number, share, whole_number
+from inflate_lib._checks import choice, number, numbers, positive_number, share, whole_number
 from inflate_lib.diffusion import process
 from inflate_lib.diffusion.model import TrainedModel
 from inflate_lib.diffusion.randomness import random_generator
@@ -198,12 +198,16 @@ def generate(
     ValueError
         Wrong number of descriptors, or one that is not finite; unknown sampler; impossible number of steps.
     """
-    scaled = torch.from_numpy(model.scaled(_checked(model, conditions))).float()
     share("eta", eta)
     number("guidance", guidance)
     share("guided_from", guided_from)
     share("guided_to", guided_to)
     whole_number("batch_size", batch_size, 1)
+    whole_number("seed", seed, 0)
+    whole_number("start", start, 0)
+    whole_number("steps", steps, 1)
+    positive_number("crowding", crowding)
+    scaled = torch.from_numpy(model.scaled(_checked(model, conditions))).float()
     place = choose_device(device)
     net, size = model.net.to(place).eval(), model.image_size
     states = []
@@ -239,10 +243,7 @@ def noise_images(seed: int, rows: range, size: tuple[int, int], device: torch.de
 
 
 def _checked(model: TrainedModel, conditions: np.ndarray) -> np.ndarray:
-    try:
-        conditions = np.asarray(conditions, dtype=np.float64)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"conditions must be an array of numbers ({error})") from None
+    conditions = numbers("conditions", conditions, "an array of numbers", finite=False)
     wanted = len(model.condition_min)
     if conditions.ndim == 1 and wanted == 1:
         conditions = conditions[:, None]

@@ -12,6 +12,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from inflate_lib._checks import number, whole_number
+
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
@@ -66,8 +68,10 @@ def cosine_schedule(T: int = 1000, s: float = 0.008, max_beta: float = 0.999) ->
     ᾱ(u) = cos²(π/2 · (u + s)/(1 + s)) / cos²(π/2 · s/(1 + s)) at u = t/T, and β = 1 − ᾱ(t)/ᾱ(t − 1), at most
     ``max_beta``. The offset ``s`` keeps the first steps from being too small; the cap is met by the last step alone.
     """
-    if T < 2 or s < 0 or not 0 < max_beta < 1:
-        raise ValueError(f"need T ≥ 2, s ≥ 0 and 0 < max_beta < 1, not {T=}, {s=}, {max_beta=}")
+    whole_number("T", T, 2)
+    number("s", s, least=0)
+    if not 0 < number("max_beta", max_beta) < 1:
+        raise ValueError(f"max_beta must lie between 0 and 1, not {max_beta!r}")
     u = torch.arange(T + 1, dtype=torch.float64) / T
     alpha_bars = torch.cos((u + s) / (1 + s) * math.pi / 2) ** 2
     return Schedule((1 - alpha_bars[1:] / alpha_bars[:-1]).clamp(max=max_beta))
@@ -78,7 +82,9 @@ def linear_schedule(T: int = 1000, first: float = 1e-4, last: float = 0.02) -> S
 
     For another T than 1000 the ends scale by 1000/T, so that the chain ends equally noisy.
     """
-    scale = 1000 / T
+    scale = 1000 / whole_number("T", T, 2)
+    number("first", first, least=0, below=1)
+    number("last", last, least=0, below=1)
     return Schedule(torch.linspace(first * scale, last * scale, T, dtype=torch.float64))
 
 

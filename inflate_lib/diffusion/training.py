@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from inflate_lib._checks import numbers, whole_number
 from inflate_lib.diffusion import process, ranks, storage
 from inflate_lib.diffusion.config import TrainingConfig
 from inflate_lib.diffusion.loop import Loop
@@ -77,6 +78,8 @@ def train(
     OSError
         A checkpoint cannot be written (full disk). The one before, if there is one, is kept.
     """
+    if threads is not None:
+        whole_number("threads", threads, 1)
     images, conditions = _checked(images, conditions, config)
     threads_before = torch.get_num_threads()
     torch.set_num_threads(threads or threads_before)
@@ -98,6 +101,7 @@ def simple_loss(
     On pairs that the model was not trained on, a fair measure of how well it predicts; and, as it repeats itself, a
     check that stored weights still mean what they meant.
     """
+    whole_number("seed", seed, 0)
     images, conditions = _checked(images, conditions, model.config)
     errors = []
     for first in range(0, len(images), 256):
@@ -257,9 +261,10 @@ def _to_network(images: Tensor) -> Tensor:
 
 def _checked(images, conditions, config: TrainingConfig) -> tuple[np.ndarray, np.ndarray]:
     try:
-        images, conditions = np.ascontiguousarray(images), np.asarray(conditions, dtype=np.float64)
+        images = np.ascontiguousarray(images)
     except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"images and conditions must be arrays of numbers ({error})") from None
+        raise ValueError(f"images must be an array of numbers ({error})") from None
+    conditions = numbers("conditions", conditions, "an array of numbers", finite=False)
     if conditions.ndim == 1:
         conditions = conditions[:, None]
     cell = 2 ** (len(config.channels) - 1)

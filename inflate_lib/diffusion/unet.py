@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from inflate_lib._checks import choice
+from inflate_lib._checks import choice, whole_number
 
 _CONDITIONINGS = ("scale-shift", "add")
 
@@ -118,6 +118,9 @@ class UNet(nn.Module):
         parts: Sequence[int] = (),
     ) -> None:
         super().__init__()
+        whole_number("n_conditions", n_conditions, 0)
+        for name, value in (("embedding", embedding), ("hidden", hidden), ("blocks", blocks), ("groups", groups)):
+            whole_number(name, value, 1)
         if parts and sum(parts) != n_conditions:
             raise ValueError(f"parts of lengths {tuple(parts)} do not make up {n_conditions} conditions")
         self.part_starts = [sum(parts[:i]) for i in range(len(parts))]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inflate_lib._cache import digest
+from inflate_lib._checks import whole_number, workers
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import name_of
@@ -42,6 +43,9 @@ def calibrate_all(
 
     A model that came with its calibration, see :func:`inflate_lib.models.trained_models`, keeps it: nothing is drawn.
     """
+    whole_number("n", n, 0)
+    whole_number("seed", seed, 0)
+    workers(n_jobs)
     return {
         name: replace(model, calibrations={name: calibrate(model, data, n, seed, n_jobs=n_jobs)})
         if n and name not in model.calibrations

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from inflate_lib._checks import whole_number
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
 from inflate_lib.descriptors.registry import PHYSICAL
@@ -95,6 +96,8 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
     Path
         The card.
     """
+    if n is not None:
+        whole_number("n", n, 1)
     folder, training, accuracy = Path(folder), {}, {}
     for name, model in calibrate_weights(folder, data, recipe).items():
         metrics, trained, joint = {}, model.trained, get_descriptor(name).any_part

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from inflate_lib._checks import share, whole_number
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 
 if TYPE_CHECKING:
@@ -75,6 +76,9 @@ def bootstrap(
     low, high : float arrays of the statistic's shape
         NaN where too few resamples give a number.
     """
+    for name, value, least in (("n", n, 0), ("seed", seed, 0), ("n_resamples", n_resamples, 1)):
+        whole_number(name, value, least)
+    share("level", level)
     rng = np.random.default_rng(seed)
     groups = np.zeros(n, dtype=int) if groups is None else np.asarray(groups)
     parts = [np.flatnonzero(groups == group) for group in np.unique(groups)]

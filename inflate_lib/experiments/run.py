@@ -13,7 +13,7 @@ import numpy as np
 
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, step_version
-from inflate_lib._checks import whole_number
+from inflate_lib._checks import numbers, whole_number, workers
 from inflate_lib._files import draft
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.split import held_out
@@ -72,9 +72,11 @@ def run_experiment(
         For targets of the wrong shape, or outside the range of the training data without `extrapolate`; for options
         that the sampler does not have.
     """
+    whole_number("n_per_target", n_per_target, 1)
+    whole_number("seed", seed, 0)
+    workers(n_jobs)
     descriptor = descriptor or model.name
     targets = check_targets(model.trained, descriptor, targets, extrapolate)
-    whole_number("n_per_target", n_per_target, 1)
     level = np.repeat(np.arange(len(targets)), n_per_target)
     told = model.told(descriptor, targets)
 
@@ -113,6 +115,10 @@ def run_held_out(
     the same numbers. The noise is not that of :func:`run_experiment` with the same seed. Parameters are those of it and
     of :func:`held_out_targets`.
     """
+    whole_number("seed", seed, 0)
+    workers(n_jobs)
+    if n is not None:
+        whole_number("n", n, 1)
     descriptor = descriptor or model.name
     targets, _ = held_out_targets(data, descriptor, model, n, seed)
     return run_experiment(model, targets, 1, held_out_seed(seed), descriptor, n_jobs)
@@ -177,7 +183,7 @@ def check_targets(model, descriptor, targets, extrapolate=False):
         With the range, for targets outside it. With `extrapolate` it is a warning instead.
     """
     components = get_descriptor(descriptor).length
-    targets = np.asarray(targets, dtype=float)
+    targets = numbers("targets", targets, f"finite numbers of shape (k, {components})")
     if targets.size == 0 or targets.size % components:
         raise ValueError(f"targets for {descriptor} must have shape (k, {components}), not {targets.shape}")
     targets = targets.reshape(-1, components)
@@ -233,6 +239,9 @@ def held_out_targets(
     rows : (n,) int
         Which structures of `data` they belong to.
     """
+    whole_number("seed", seed, 0)
+    if n is not None:
+        whole_number("n", n, 1)
     usable = np.flatnonzero(data["converged"].values & held_out(data.sizes["structure"]))
     order = np.random.default_rng(seed).permutation(usable)
     matrix = descriptor_matrix(data, descriptor)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from inflate_lib._checks import whole_number
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import bootstrap, errors, r_squared
 from inflate_lib.mechanics.buildable import Flaw
@@ -65,6 +66,8 @@ def scores(
     pandas.DataFrame
         A row per measure: measure, unit, value, low, high.
     """
+    whole_number("seed", seed, 0)
+    whole_number("n_resamples", n_resamples, 1)
     target, achieved = experiment["target"].values, descriptor_matrix(experiment, descriptor)
     valid = experiment["valid"].values
     achieved = np.where(valid[:, None], achieved, np.nan)

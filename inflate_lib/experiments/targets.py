@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from inflate_lib import paths
+from inflate_lib._checks import whole_number
 from inflate_lib.descriptors import get_descriptor
 
 LEVELS = ("low", "medium", "high")
@@ -40,6 +41,8 @@ def find_clusters(matrix: np.ndarray, k: int = 3, seed: int = 0, n_starts: int =
     """
     from sklearn.cluster import KMeans
 
+    for name, value, least in (("k", k, 1), ("seed", seed, 0), ("n_starts", n_starts, 1)):
+        whole_number(name, value, least)
     matrix = _finite_matrix(matrix)
     n_distinct = len(np.unique(matrix, axis=0))
     if n_distinct < k:
@@ -102,6 +105,7 @@ def choose_axes(axes: np.ndarray, n: int = 3) -> np.ndarray:
     """
     from sklearn.neighbors import NearestNeighbors
 
+    whole_number("n", n, 1)
     n_axes = len(axes)
     if not 1 <= n <= n_axes:
         raise ValueError(f"n is {n}; from {n_axes} medial axes, 1 to {n_axes} can be chosen")

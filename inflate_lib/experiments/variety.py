@@ -12,6 +12,7 @@ import pandas as pd
 
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._checks import whole_number
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.structures.augmentation import MAX_SHIFT, apply_variants
@@ -126,6 +127,8 @@ def diversity(
         A row per target: target, n (valid structures), generated, data (mean pairwise distances), each with low and
         high, and ratio.
     """
+    whole_number("seed", seed, 0)
+    whole_number("n_resamples", n_resamples, 1)
     real = np.flatnonzero(data["converged"].values)
     matrix = descriptor_matrix(data, descriptor)[real]
     scale, rows = get_descriptor(descriptor).error.scale(matrix), []

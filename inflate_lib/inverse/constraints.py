@@ -12,7 +12,7 @@ from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 from scipy import ndimage
 
-from inflate_lib._checks import flag, number, positive_number
+from inflate_lib._checks import flag, number, numbers, positive_number
 from inflate_lib.mechanics.mesh import boundary_loops
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, WALL, main_component
 
@@ -53,12 +53,8 @@ class Constraints:
             raise ValueError(f"min_void {self.min_void:.4g} is more than the frame, which is 1 wide")
         flag("symmetric", self.symmetric)
         if self.keep_out is not None:
-            try:
-                left, bottom, right, top = (float(value) for value in self.keep_out)
-            except (TypeError, ValueError):
-                left = np.nan
-            if not (np.isfinite([left]).all() and np.isfinite([bottom, right, top]).all()):
-                raise ValueError(f"keep_out must be four numbers: left, bottom, right, top, not {self.keep_out!r}")
+            wanted = "four numbers: left, bottom, right, top"
+            left, bottom, right, top = numbers("keep_out", self.keep_out, wanted, 4).tolist()
             if not (left < right and bottom < top):
                 raise ValueError(f"keep_out must have left < right and bottom < top, not {self.keep_out!r}")
             object.__setattr__(self, "keep_out", (left, bottom, right, top))
@@ -103,8 +99,10 @@ class Constraints:
 def from_millimetres(size_mm, min_void=0.0, max_material=None, symmetric=False, keep_out=None):
     """Constraints of a frame with sides of `size_mm`, from millimetres and square millimetres."""
     positive_number("size_mm", size_mm, "millimetres")
-    area = np.inf if max_material is None else max_material / size_mm**2
-    region = None if keep_out is None else tuple(value / size_mm for value in keep_out)
+    number("min_void", min_void, least=0)
+    area = np.inf if max_material is None else positive_number("max_material", max_material) / size_mm**2
+    wanted = "four numbers: left, bottom, right, top"
+    region = None if keep_out is None else numbers("keep_out", keep_out, wanted, 4) / size_mm
     return Constraints(min_void / size_mm, area, symmetric, region)
 
 

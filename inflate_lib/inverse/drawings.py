@@ -31,8 +31,8 @@ def read_outline(path: str | Path, unit: float) -> np.ndarray:
     ValueError
         Naming the file, where it cannot be read, or holds no shape or several.
     """
-    path = Path(path)
     positive_number("the unit of the outline", unit)
+    path = Path(path)
     if not path.is_file():
         raise ValueError(f"{path} does not exist")
     points = _svg_points(path) if path.suffix.lower() in _SVG else _picture_points(path)

@@ -74,6 +74,7 @@ def save_designs(
         Where the folder is not empty, or cannot be written, or another run is writing there, or a file of another
         origin has the name of one of these; then nothing has changed.
     """
+    check_sizes(size_mm=size_mm, depth_mm=depth_mm)
     with claimed_folder(folder, len(designs.designs), overwrite) as claimed:
         write_designs(designs, claimed, size_mm, depth_mm)
     names = ("contact_sheet.png", "designs.csv", *_names(len(designs.designs)))

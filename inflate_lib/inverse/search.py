@@ -19,7 +19,7 @@ import pandas as pd
 from joblib import Parallel, delayed
 
 from inflate_lib import paths
-from inflate_lib._checks import choice, positive_number, whole_number
+from inflate_lib._checks import choice, positive_number, whole_number, workers
 from inflate_lib.alternatives.surrogate import centred
 from inflate_lib.datasets.simulate import simulated_before, simulated_sevens
 from inflate_lib.datasets.split import training_rows
@@ -229,7 +229,7 @@ def design(
         With ``start_from="training"``, where MNIST cannot be had.
     """
     targets, constraints = as_targets(targets), constraints or Constraints()
-    _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refine)
+    _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refine, n_jobs)
     _check_symmetric(targets, constraints, tolerance)
     if start_from == "training":
         model = None
@@ -364,6 +364,7 @@ def choose(pool: list[Design], n: int, prefer: str | None = None) -> list[Design
 
     With `prefer`, among the half of those with the lowest (highest) stress, in the order of stress.
     """
+    whole_number("n", n, 1)
     within = [one for one in pool if one.within]
     if prefer:
         within.sort(key=lambda one: one.shape.peak_stress, reverse=prefer == "high-stress")
@@ -461,12 +462,13 @@ def _about(model):
     return about | {key: trained.metadata[key] for key in ("profile", "source", "pairs") if key in trained.metadata}
 
 
-def _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refine):
+def _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refine, n_jobs):
     whole = (("n", n, 1), ("seed", seed, 0), ("max_candidates", max_candidates, 1), ("refine", refine, 0))
     for name, value, least in whole:
         whole_number(name, value, least)
     positive_number("tolerance", tolerance)
     positive_number("seconds", seconds, finite=False)
+    workers(n_jobs)
     if prefer is not None:
         choice("prefer", prefer, _PREFERENCES)
     choice("start_from", start_from, STARTS)

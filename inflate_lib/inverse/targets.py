@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from inflate_lib._checks import positive_number
 from inflate_lib.descriptors import DESCRIPTORS, describe, get_descriptor
 from inflate_lib.descriptors.registry import basic, implied
 from inflate_lib.descriptors.shape import check_axis, check_points
@@ -156,6 +157,7 @@ def read_targets(
     ValueError
         Where a file is no such file, where nothing is asked for, or more than an outline leaves open.
     """
+    positive_number("unit", unit)
     given: dict[str, Any] = {"height": height, "width": width, "area": area, "stress": stress, "stretch": stretch}
     given["axis"] = None if axis is None else _read_axis(axis)
     given["outline"] = None if outline is None else read_outline(outline, unit)

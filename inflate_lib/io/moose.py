@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inflate_lib._checks import choice
+from inflate_lib._checks import choice, positive_number
 from inflate_lib._files import check_outputs, hand_out, hand_out_folder, naming
 from inflate_lib.io import _exodus
-from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MAX_HALVINGS, MU, PRESSURE, load_history
+from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MAX_HALVINGS, MU, PRESSURE, check_lame, load_history
 
 if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
@@ -149,7 +149,7 @@ _INPUT = """\
 def _input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
     """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`."""
     choice("element", element, ELEMENTS)
-    lam, mu = (float(value) for value in lame)
+    lam, mu = check_lame(lame)
     times, pressures = load_history(pressure, n_steps)
     return _INPUT.format(
         name=name, stabilize="false" if element == "q1" else "true", lam=lam, mu=mu,
@@ -235,6 +235,7 @@ def run_case(result: "Inflation", input_file: str | Path, time_limit: float = 60
     OSError
         Where its results cannot be written beside the input, or would replace a file that is not of an earlier run.
     """
+    positive_number("time_limit", time_limit, "seconds")
     input_file = Path(input_file)
     case, mesh, output = case_files(input_file.parent, input_file.stem)
     command = [_find_program(), "-i", case.name]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, ImageOps, ImageSequence, UnidentifiedImageError
 
-from inflate_lib._checks import choice
+from inflate_lib._checks import choice, positive_number
 from inflate_lib._files import hand_out
 from inflate_lib.mechanics import stress
 from inflate_lib.mechanics.stress import QUANTITIES
@@ -87,6 +87,7 @@ def write_animation(
     from inflate_lib.plotting import in_style
     from inflate_lib.plotting.mechanics import animate_inflation
 
+    positive_number("frames_per_second", frames_per_second)
     steps = reached_steps(result)
     values, label = _coloured(result, quantity)
     path = with_ending(path, ".gif")

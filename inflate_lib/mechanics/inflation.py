@@ -25,7 +25,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from inflate_lib._checks import choice, positive_number, whole_number
+from inflate_lib._checks import choice, numbers, positive_number, whole_number
 from inflate_lib.mechanics import _kernels, material, stabilised
 from inflate_lib.mechanics.material import LAMBDA, MU
 from inflate_lib.mechanics.mesh import Mesh, build_mesh, check_mesh
@@ -90,7 +90,8 @@ class Inflation:
 
     def deformed(self, step: int = -1) -> np.ndarray:
         """(n, 2) deformed coordinates at a load step (the last one by default)."""
-        return self.nodes + self.displacement[step]
+        n_steps = len(self.displacement)
+        return self.nodes + self.displacement[whole_number("step", step, -n_steps, n_steps - 1)]
 
     @cached_property
     def deformation_gradient(self) -> np.ndarray:
@@ -171,9 +172,8 @@ def inflate(
     """
     choice("element", element, ELEMENTS)
     times, pressures = load_history(pressure, n_steps)
-    lam, mu = _numbers("lame", lame, 2, "two positive numbers (λ, μ)")
-    if lam <= 0 or mu <= 0:
-        raise ValueError(f"lame must be two positive numbers (λ, μ), not {lame!r}")
+    lam, mu = check_lame(lame)
+    whole_number("refine", refine, 1)
     check_time_limit(time_limit)
     mesh = check_mesh(label) if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
 
@@ -217,13 +217,10 @@ def load_history(pressure, n_steps=None):
     """
     if n_steps is not None:
         check_steps(n_steps)
-    try:
-        pressures = np.array(pressure, dtype=float)
-    except (TypeError, ValueError, RuntimeError):  # the last from tensors that NumPy cannot take
-        pressures = np.array(np.nan)
-    if pressures.ndim > 1 or not 1 <= pressures.size <= 10_000 or not np.isfinite(pressures).all():
-        shown = reprlib.repr(pressure)
-        raise ValueError(f"pressure must be a finite number, or a history of 1 to 10000 of them, not {shown}")
+    wanted = "a finite number, or a history of 1 to 10000 of them"
+    pressures = numbers("pressure", pressure, wanted)
+    if pressures.ndim > 1 or not 1 <= pressures.size <= 10_000:
+        raise ValueError(f"pressure must be {wanted}, not {reprlib.repr(pressure)}")
     is_history = pressures.ndim == 1
     if is_history and n_steps not in (None, pressures.size):
         raise ValueError(f"n_steps is {n_steps}, but the pressure history has {pressures.size} entries: leave it out")
@@ -237,6 +234,15 @@ def nominal_seconds(system):
     return (system.pattern.multiplications + _ASSEMBLY * len(system.cells)) / _SPEED
 
 
+def check_lame(lame):
+    """(λ, μ) as two floats, or a ValueError where `lame` is not two positive numbers."""
+    wanted = "two positive numbers (λ, μ)"
+    lam, mu = numbers("lame", lame, wanted, 2).tolist()
+    if lam <= 0 or mu <= 0:
+        raise ValueError(f"lame must be {wanted}, not {lame!r}")
+    return lam, mu
+
+
 def check_steps(n_steps):
     """Raise a ValueError where `n_steps` is no number of load steps."""
     whole_number("n_steps", n_steps, 1, 10_000)
@@ -246,17 +252,6 @@ def check_time_limit(seconds):
     """Raise a ValueError where `seconds` is neither None nor a positive number."""
     if seconds is not None:
         positive_number("time_limit", seconds, "seconds")
-
-
-def _numbers(name, values, count, wanted):
-    """`values` as `count` finite floats, or a ValueError that names the parameter."""
-    try:
-        numbers = [float(value) for value in values]
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ValueError(f"{name} must be {wanted}, not {values!r}")
-    return numbers
 
 
 def shape_gradients(corners):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from inflate_lib._checks import whole_number
+from inflate_lib._checks import numbers, whole_number
 from inflate_lib.structures.labels import OUTSIDE, VOID, WALL, is_open, turns_to_bottom
 
 
@@ -108,10 +108,7 @@ def check_mesh(mesh):
 def _check_label(label, clamped="bottom"):
     """Return `label` as a float array, or raise a ValueError that says why it cannot be inflated."""
     turns = turns_to_bottom(clamped)
-    try:
-        label = np.asarray(label, dtype=float)
-    except (TypeError, ValueError, RuntimeError) as error:  # the last from tensors that NumPy cannot take
-        raise ValueError(f"label: not an array of numbers ({error})") from None
+    label = numbers("label", label, "an array of 0 (outside), 0.5 (wall) and 1 (void)")
     if label.ndim != 2 or label.shape[0] != label.shape[1] or label.size == 0:
         raise ValueError(f"label: a square image is needed, not an array of shape {label.shape}")
     wall, void = label == WALL, label == VOID

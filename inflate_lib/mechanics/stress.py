@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from inflate_lib._checks import whole_number
+
 if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
 
@@ -79,7 +81,8 @@ def peaks(result: "Inflation", step: int = -1) -> tuple[float, float]:
     (float, float)
         In the units of λ and μ, and a ratio of lengths; NaN where there is no equilibrium.
     """
-    at = replace(result, displacement=result.displacement[[step]])
+    n_steps = len(result.displacement)
+    at = replace(result, displacement=result.displacement[[whole_number("step", step, -n_steps, n_steps - 1)]])
     return float(von_mises(at).max()), float(largest_stretch(at).max())
 
 

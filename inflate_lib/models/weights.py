@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inflate_lib import paths
-from inflate_lib._checks import whole_number
+from inflate_lib._checks import numbers, whole_number
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.descriptors.registry import columns, name_of
@@ -149,12 +149,7 @@ def _as_vectors(name, value):
     else:
         shapes = f"({', '.join(descriptor.parts)}) or an array (m, {n})"
     problem = f"{name} must be {shapes}, not "
-    try:
-        if np.asarray(value).dtype.kind not in "iuf":  # no text, no truth values
-            raise TypeError
-        values = np.asarray(value, dtype=float)
-    except (TypeError, ValueError, RuntimeError):
-        raise ValueError(f"{problem}{value!r}") from None
+    values = numbers(name, value, shapes, finite=False)
     if values.size == 0 or values.shape not in (one, (len(np.atleast_1d(values)), *one)):
         raise ValueError(f"{problem}one of shape {values.shape}")
     if not np.isfinite(values).all():

@@ -8,6 +8,7 @@ label image is moved back to the bottom edge, so the simulated structure is the 
 
 import numpy as np
 
+from inflate_lib._checks import whole_number
 from inflate_lib.structures.labels import FRAME, THICKNESS, as_grey, main_component
 
 MAX_SHIFT = 3
@@ -39,6 +40,10 @@ def augment(images: np.ndarray, n_samples: int | None = None, seed: int = 0, max
         Where ``n_samples`` is smaller than the number of images or larger than the number of allowed variants, or an
         image holds no structure.
     """
+    whole_number("max_shift", max_shift, 0, FRAME)
+    whole_number("seed", seed, 0)
+    if n_samples is not None:
+        whole_number("n_samples", n_samples, 1)
     variants = _allowed_variants(_structure_boxes(images), max_shift)
     n_images = len(images)
     originals, others = variants[:n_images], variants[n_images:]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inflate_lib._checks import choice, number, whole_number
+from inflate_lib._checks import choice, flag, number, whole_number
 
 FRAME = 28  # pixels per side; the frame is the unit square
 PIXEL = 1 / FRAME  # side of a pixel
@@ -80,6 +80,7 @@ def stages(
     """Every intermediate image of :func:`label_image`, as :class:`_Stages`; same arguments, same errors."""
     whole_number("wall", wall, 1, FRAME)
     number("threshold", threshold, least=0, below=1)
+    flag("pad", pad)
     from scipy import ndimage  # here and below: whoever trains elsewhere has flips and shifts, but no SciPy
 
     turns = turns_to_bottom(clamped)

@@ -167,7 +167,7 @@ def test_only_equilibria_are_described():
     with pytest.raises(ValueError, match=r"no equilibrium.*load step"):
         describe(result)
     for step in (10, -11, 1.5, "last", None):
-        with pytest.raises(ValueError, match="step must be one of the 10"):
+        with pytest.raises(ValueError, match="step must be a whole number from -10 to 9"):
             describe(result, step)
 
 

@@ -65,7 +65,7 @@ def test_impossible_betas_are_refused(betas):
 def test_impossible_settings_are_refused():
     with pytest.raises(ValueError, match="max_beta"):
         cosine_schedule(1000, max_beta=1.5)
-    with pytest.raises(ValueError, match="T=1"):
+    with pytest.raises(ValueError, match="T must be a whole number of at least 2, not 1"):
         cosine_schedule(1)
 
 
