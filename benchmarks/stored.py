@@ -4,8 +4,9 @@ import json
 import os
 import platform
 import time
+from contextlib import suppress
 from datetime import date
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from rich.console import Console
@@ -13,9 +14,9 @@ from rich.table import Table
 
 from inflate_lib import paths
 from inflate_lib._cache import code_version
-from inflate_lib._provenance import package_versions
+from inflate_lib._provenance import PACKAGES
 
-PEERS = ("felupe", "scikit-fem")
+PEERS = ("felupe", "scikit-fem", "diffusers", "denoising-diffusion-pytorch")
 
 
 def seconds(task, *arguments):
@@ -35,6 +36,15 @@ def machine():
     return {"processor": model, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}"}
 
 
+def _versions(*packages):
+    """Of those that are installed."""
+    found = {}
+    for package in packages:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
+
+
 def store(frame, name, made_by, **note):
     """Print a table, write it to data/reference/<name>.csv, and where it comes from to <name>.json."""
     table = Table(title=name)
@@ -52,7 +62,7 @@ def store(frame, name, made_by, **note):
         "machine": machine(),
         "date": date.today().isoformat(),
         "python": platform.python_version(),
-        "packages": package_versions() | {package: version(package) for package in PEERS},
+        "packages": _versions(*PACKAGES, *PEERS),
         "code_version": code_version("inflate_lib.structures", "inflate_lib.mechanics"),
     }
     (paths.REFERENCE / f"{name}.json").write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")

@@ -15,15 +15,12 @@ that of two training steps in a process of its own, beyond what the process held
 On a GPU every network runs in float32, in bfloat16 and compiled, and `--side-by-side 5` trains that many at once.
 """
 
-import json
 import os
-import platform
 import resource
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
-from importlib.metadata import version
 from multiprocessing import get_context
 from typing import Annotated
 
@@ -31,9 +28,9 @@ import numpy as np
 import pandas as pd
 import torch
 import typer
+from stored import machine, store
 from torch import nn
 
-from inflate_lib import paths
 from inflate_lib.diffusion import TrainingConfig, UNet, cosine_schedule, process
 from inflate_lib.diffusion.sampling import ancestral_step
 
@@ -225,27 +222,15 @@ def main(
         row = rows.iloc[-len(names)][["channels", "batch", "device", "precision", "compiled", "parameters"]].to_dict()
         row |= {"net": f"{names[0]}, {side_by_side} at once", "images_per_s": rate * batch}
         rows = pd.concat([rows, pd.DataFrame([row])], ignore_index=True)
-    print(rows.drop(columns=["channels", "batch", "device"]).to_string(index=False, float_format="{:.3g}".format))
-    rows.to_csv(paths.REFERENCE / "speed_training.csv", index=False, float_format="%.4g")
-    packages = ["torch"] + [p for n, (_, p) in PEERS.items() if n in names]
-    note = {
-        "made_by": "benchmarks/training.py",
-        "repeats": repeats,
-        "device": torch.cuda.get_device_name() if on_gpu else processor(),
-        "threads": torch.get_num_threads(),
-        "load_before": load,  # more than a little above 0: others were at work, and only the ratios mean something
-        "packages": {package: version(package) for package in packages},
-    }
-    (paths.REFERENCE / "speed_training.json").write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")
-
-
-def processor():
-    """The processor's name, as far as the system tells it."""
-    try:
-        with open("/proc/cpuinfo") as lines:
-            return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
+    store(
+        rows,
+        "speed_training",
+        "training.py",
+        repeats=repeats,
+        device=torch.cuda.get_device_name() if on_gpu else machine()["processor"],
+        threads=torch.get_num_threads(),
+        load_before=load,  # more than a little above 0: others were at work, and only the ratios mean something
+    )
 
 
 if __name__ == "__main__":
