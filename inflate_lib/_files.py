@@ -67,6 +67,19 @@ def written_before(path: str | os.PathLike) -> bool:
         return False
 
 
+def read_by(read: Callable[[Path], Any]) -> Callable[[Path], bool]:
+    """The same for files of the program's own kind, which no record needs to tell: whether its reader takes them."""
+
+    def ours(path: Path) -> bool:
+        try:
+            read(path)
+        except (OSError, ValueError):
+            return False
+        return True
+
+    return ours
+
+
 @contextmanager
 def hand_out(path: str | os.PathLike, ours: Callable[[Path], bool] = written_before) -> Iterator[Path]:
     """A place to write a file that a user named; it takes its own place once it is whole.
@@ -227,7 +240,8 @@ def _partial(folder: Path, name: str, path: str | os.PathLike) -> Iterator[Path]
     sweep(folder, name)
     with naming(path):
         partial = Path(tempfile.mkdtemp(prefix=f"{name}.{os.getpid()}.", suffix=_PARTIAL, dir=folder))
-    _at_work.add(partial)
+    at_work = Path(os.path.realpath(partial))
+    _at_work.add(at_work)
     try:
         with naming(path):
             yield partial
@@ -238,7 +252,7 @@ def _partial(folder: Path, name: str, path: str | os.PathLike) -> Iterator[Path]
         raise OSError(error.errno, error.strerror, str(path if final == Path(path).absolute() else final)) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-        _at_work.discard(partial)
+        _at_work.discard(at_work)
 
 
 def _record(path: str | os.PathLike) -> Path:

@@ -9,6 +9,7 @@ import json
 import shutil
 
 from inflate_lib import paths
+from inflate_lib._files import draft
 from inflate_lib.book.run import RunError, plan
 
 PROFILE = "laptop"
@@ -36,16 +37,25 @@ def publish_edition() -> None:
     ]
     if problems:
         raise RunError("\n".join(["no edition can be published yet:", *(f"  {problem}" for problem in problems)]))
-    paths.EDITION.mkdir(parents=True, exist_ok=True)
+    before = _recorded()
     published = set()
     for note in notes:
         note["files"] = {file: content for file, content in note["files"].items() if file.endswith(_KEPT)}
         if note["files"]:
             _publish(note, run)
             published |= {*note["files"], f"{note['name']}.json"}
-    for path in paths.EDITION.iterdir():
-        if path.name not in published:
-            path.unlink()
+    for name in before - published:
+        (paths.EDITION / name).unlink(missing_ok=True)
+
+
+def _recorded():
+    """Names of the files of the edition that is there: its records, and what they list. All else is not ours."""
+    names = set()
+    for record in paths.EDITION.glob("*.json"):
+        note = json.loads(record.read_text(encoding="utf-8"))
+        if "notebook" in note:
+            names |= {record.name, *note["files"]}
+    return names
 
 
 def _publish(note, run):
@@ -53,5 +63,7 @@ def _publish(note, run):
     if record.is_file() and {**json.loads(record.read_text(encoding="utf-8")), "commit": note["commit"]} == note:
         return
     for file in note["files"]:
-        shutil.copyfile(run / file, paths.EDITION / file)
-    record.write_text(json.dumps(note, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        with draft(paths.EDITION / file) as place:
+            shutil.copyfile(run / file, place)
+    with draft(record) as place:
+        place.write_text(json.dumps(note, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

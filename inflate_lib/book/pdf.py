@@ -7,6 +7,7 @@ import tempfile
 from pathlib import Path
 
 from inflate_lib import paths
+from inflate_lib._files import draft
 from inflate_lib.book.build import check_built, run_jupyter_book
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -47,7 +48,6 @@ def print_book() -> Path:
     if chromium is None:
         raise RuntimeError("no Chromium or Chrome found; install one (Debian: chromium), or set INFLATE_CHROMIUM to it")
     target = paths.BOOK / "_build" / "pdf" / "book.pdf"
-    target.parent.mkdir(parents=True, exist_ok=True)
     _print_page(chromium, run_jupyter_book("singlehtml"), target)
     return target
 
@@ -55,14 +55,15 @@ def print_book() -> Path:
 def _print_page(chromium: Path, page: Path, target: Path) -> None:
     """Print one HTML file, after its equations have been set, to a PDF file."""
     with tempfile.TemporaryDirectory() as folder:
-        draft = Path(folder) / "book.pdf"
+        printed = Path(folder) / "book.pdf"
         words = [*_FLAGS, *_sandbox_flags(), f"--user-data-dir={folder}/profile", f"--virtual-time-budget={PATIENCE}"]
         words += ["--no-pdf-header-footer", "--generate-pdf-document-outline"]
-        words += [f"--print-to-pdf={draft}", page.resolve().as_uri()]
+        words += [f"--print-to-pdf={printed}", page.resolve().as_uri()]
         try:
             done = subprocess.run([chromium, *words], capture_output=True, text=True, timeout=TIMEOUT, check=False)
         except subprocess.TimeoutExpired:
             raise RuntimeError(f"{chromium} did not print {page} within {TIMEOUT} s") from None
-        if not draft.is_file() or not draft.read_bytes().startswith(b"%PDF"):
+        if not printed.is_file() or not printed.read_bytes().startswith(b"%PDF"):
             raise RuntimeError(f"{chromium} wrote no PDF of {page}: {done.stderr.strip()[-500:]}")
-        shutil.move(draft, target)
+        with draft(target) as place:
+            shutil.copyfile(printed, place)

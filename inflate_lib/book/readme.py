@@ -6,6 +6,7 @@
 import re
 
 from inflate_lib import paths
+from inflate_lib._files import draft
 from inflate_lib.descriptors import DESCRIPTORS
 
 
@@ -50,4 +51,5 @@ def results() -> str:
 
 if __name__ == "__main__":
     file = paths.ROOT / "README.md"
-    file.write_text(_renewed(file.read_text(encoding="utf-8")), encoding="utf-8")
+    with draft(file) as place:
+        place.write_text(_renewed(file.read_text(encoding="utf-8")), encoding="utf-8")

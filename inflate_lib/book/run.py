@@ -156,7 +156,8 @@ def reproduce(
         todo = [job for job in work if reasons[job.name]]
         names = {notebook.stem for notebook in find_notebooks()}
         for old in paths.EXECUTED.glob("*.ipynb"):
-            if old.stem not in names or any(old == job.executed for job in todo):
+            renamed = old.stem not in names and executed_under(old) is not None  # not a notebook of somebody's own
+            if renamed or any(old == job.executed for job in todo):
                 old.unlink()
         for job in work:
             console.print(f"{job.name}: {reasons[job.name] or 'fresh'}", highlight=False)

@@ -30,18 +30,23 @@ def train(
     paths.need_checkout("inflate train")
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
-    from inflate_lib.diffusion import ranks
+    from inflate_lib.diffusion import ranks, storage
     from inflate_lib.diffusion.training import choose_device
     from inflate_lib.experiments.calibrate import calibrate_weights
     from inflate_lib.models import train
-    from inflate_lib.models.reach import save_reach
+    from inflate_lib.models.reach import check_reach_file, save_reach
     from inflate_lib.models.recipe import load_recipe
 
     if pack is not None and (steps, out, log) != (None, None, None):
         raise ValueError("--pack trains nothing: leave out --steps, --out and --log")
     if steps is not None and (out, log) != (None, None):
         raise ValueError("--steps is a dry run, which keeps nothing: leave out --out and --log")
+    if pack is not None:
+        storage.check_files([pack], "pack")
     names = list(DESCRIPTORS) if descriptor == "all" else [get_descriptor(descriptor).name]
+    if out is not None:
+        storage.check_files((out / f"{name}.safetensors" for name in names), "model")
+        check_reach_file(out)
     recipe = load_recipe(profile)
     changes = {"device": device, "compile": compile or None}
     recipe = recipe.changed(training={name: value for name, value in changes.items() if value is not None})

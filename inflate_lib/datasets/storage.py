@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from inflate_lib._files import hand_out
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.descriptors.registry import PARTS
 
@@ -11,9 +12,17 @@ if TYPE_CHECKING:
 
 
 def save_dataset(data: "xr.Dataset", path: str | Path) -> None:
-    """Write a data set as one netCDF file, compressed."""
+    """Write a data set as one netCDF file, compressed.
+
+    Raises
+    ------
+    OSError
+        Where the file cannot be written, or would replace one that is not as this library wrote it; nothing is left
+        behind then.
+    """
     encoding = {name: {"zlib": True, "complevel": 4} for name in data.data_vars if data[name].dtype.kind in "fiu"}
-    data.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    with hand_out(path) as place:
+        data.to_netcdf(place, engine="h5netcdf", encoding=encoding)
 
 
 def load_dataset(path: str | Path) -> "xr.Dataset":

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from inflate_lib._files import naming
+from inflate_lib._files import draft, naming
 
 COLUMNS = ("step", "loss", "simple", "vlb", "seconds")
 
@@ -15,13 +15,14 @@ class Log:
     """
 
     def __init__(self, folder: Path, step: int):
-        folder.mkdir(parents=True, exist_ok=True)
-        self.path = folder / "history.csv"
-        before = self.path.read_text().splitlines(keepends=True)[1:] if self.path.exists() else []
-        whole = (line for line in before if line.endswith("\n") and line.count(",") == len(COLUMNS) - 1)
+        self.path, heading = folder / "history.csv", ",".join(COLUMNS) + "\n"
+        before = self.path.read_text(errors="replace").splitlines(keepends=True) if self.path.exists() else []
+        if before and before[0] != heading:
+            raise FileExistsError(f"{self.path} is there already, and no log of a training: give another folder for it")
+        whole = (line for line in before[1:] if line.endswith("\n") and line.count(",") == len(COLUMNS) - 1)
         kept = [line for line in whole if int(line.split(",")[0]) <= step]
-        with naming(self.path):
-            self.path.write_text(",".join(COLUMNS) + "\n" + "".join(kept))
+        with draft(self.path) as place:
+            place.write_text(heading + "".join(kept))
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:

@@ -38,7 +38,11 @@ class TrainedModel:
         return (conditions - self.condition_min) / np.where(extent > 0, extent, 1)
 
     def save(self, path: Path, half: bool = False) -> None:
-        """Write one safetensors file; ``half`` stores the weights in 16 bits, at half the size."""
+        """Write one safetensors file; ``half`` stores the weights in 16 bits, at half the size.
+
+        A file of the same name that is no model is an OSError and stays.
+        """
+        storage.check_files([path], "model")
         tensors = {name: value.half() if half else value for name, value in self.net.state_dict().items()}
         content = {
             "config": self.config.as_dict(),

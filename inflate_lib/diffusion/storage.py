@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from inflate_lib._files import draft
+from inflate_lib._files import check_outputs, draft, read_by
 
 FORMAT = "inflate_lib.diffusion 1"
 
@@ -63,6 +63,17 @@ def read(path: Path, kind: str) -> tuple[dict[str, Tensor], dict]:
     if header.get("digest") != _digest(tensors, content):
         raise ValueError(f"{path} is corrupt, or somebody saved it again: its content does not match its own checksum")
     return tensors, json.loads(content)
+
+
+def check_files(paths: Iterable[Path], kind: str) -> None:
+    """Refuse, before the work, files that cannot be written, or that would replace one which is not of this ``kind``.
+
+    Raises
+    ------
+    OSError
+        See :func:`inflate_lib._files.check_outputs`.
+    """
+    check_outputs(paths, ours=read_by(lambda path: read(path, kind)))
 
 
 def fill(places: Mapping[str, Tensor], tensors: Mapping[str, Tensor], path: Path) -> None:

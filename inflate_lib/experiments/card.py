@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from inflate_lib._checks import whole_number
+from inflate_lib._files import check_outputs, hand_out
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
 from inflate_lib.descriptors.registry import PHYSICAL
@@ -99,6 +100,8 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
     if n is not None:
         whole_number("n", n, 1)
     folder, training, accuracy = Path(folder), {}, {}
+    card = folder / "README.md"
+    check_outputs([card], ours=_is_card)
     for name, model in calibrate_weights(folder, data, recipe).items():
         metrics, trained, joint = {}, model.trained, get_descriptor(name).any_part
         for asked in (*DESCRIPTORS, *PHYSICAL) if joint else (name,):
@@ -128,7 +131,6 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
         .rename_axis("option")
     )
     how = f"targets calibrated on {recipe.n_calibration} training structures (`inflate_lib.models.calibration`)"
-    card = folder / "README.md"
     text = _CARD.format(
         profile=about.get("profile", folder.name),
         source={"mnist": "The sevens of the MNIST training files"}.get(about["source"], about["source"]),
@@ -145,8 +147,14 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
         sampling=", ".join(f"{key} {value}" for key, value in recipe.sampling.items()),
         calibration=how if recipe.n_calibration else "the model was told the target itself",
     )
-    card.write_text(text, encoding="utf-8")
+    with hand_out(card, _is_card) as place:
+        place.write_text(text, encoding="utf-8")
     return card
+
+
+def _is_card(file):
+    """Whether a file is a card, by its first words; it has no record where it comes with a clone."""
+    return file.read_bytes().startswith(_CARD.split("`")[0].encode())
 
 
 def _markdown(rows: Mapping) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inflate_lib._files import check_outputs, draft, read_by
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import OWN, basic, implied, registered
 
@@ -27,10 +28,16 @@ def reach_of(data):
 
 def save_reach(data, folder: Path) -> Path:
     """Write the table of a data set beside the weights in a folder, in 32 bits."""
-    file = Path(folder) / FILE
-    table = reach_of(data).drop_vars("converged")
-    np.savez_compressed(file, **{name: values.values.astype(np.float32) for name, values in table.items()})
+    check_reach_file(folder)
+    file, table = Path(folder) / FILE, reach_of(data).drop_vars("converged")
+    with draft(file) as place:
+        np.savez_compressed(place, **{name: values.values.astype(np.float32) for name, values in table.items()})
     return file
+
+
+def check_reach_file(folder: Path) -> None:
+    """An OSError where the table cannot be written into a folder, or would replace a file that is none."""
+    check_outputs([Path(folder) / FILE], ours=read_by(lambda file: load_reach(file.parent)))
 
 
 def load_reach(folder: Path):

@@ -63,6 +63,7 @@ def write_pack(
         arrays |= {f"{name}.{part}": model[part] for part in ("seen", "mirrored", "unseen")}
         content[name] = {"config": model["config"].as_dict(), "about": model["about"]}
     tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
+    storage.check_files([path], "pack")
     storage.write(path, "pack", tensors, content)
 
 
@@ -109,6 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     try:
         names = given.only or list(storage.read(given.pack, "pack")[1])
+        storage.check_files((given.out / f"{name}.safetensors" for name in names), "model")
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         alone = choose_device(given.device).type == "mps"
         jobs = max(1, given.jobs or min(len(names), 1 if alone else cores))

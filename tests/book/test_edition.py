@@ -94,3 +94,14 @@ def test_only_a_whole_run_of_the_laptop_profile_can_be_published(options, monkey
     monkeypatch.setattr("sys.argv", ["inflate", "reproduce", "--publish", *options])
     with pytest.raises(SystemExit, match="--publish is for a run of all notebooks under the profile laptop"):
         app.run()
+
+
+def test_what_no_record_lists_stays():
+    edition.publish_edition()
+    for name in ("notes.md", "mine.json"):
+        (paths.EDITION / name).write_text("{}")
+    (paths.EDITION / "folder").mkdir()
+    (paths.FIGURES / "laptop" / "table.json").unlink()
+    edition.publish_edition()
+    left = {path.name for path in paths.EDITION.iterdir()}
+    assert left == {"picture.png", "picture.json", "notes.md", "mine.json", "folder"}

@@ -1,6 +1,9 @@
 """``inflate simulate``: image files in, numbers and files out; a bad image spoils nothing but itself."""
 
 import json
+import os
+import resource
+import signal
 import sys
 
 import meshio
@@ -8,8 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import inflate_lib
 from inflate_lib import describe, inflate, label_image
-from inflate_lib.cli import app
+from inflate_lib.cli import _images, app
 from inflate_lib.cli._images import Options, simulate_files
 from inflate_lib.io.pictures import read_images
 from inflate_lib.structures.labels import _EDGES
@@ -226,3 +230,121 @@ def test_colour_and_palette_pictures_are_read_as_grey(folder):
     for mode in ("RGB", "1", "P"):
         Image.fromarray(255 * (DIGITS[0] > 127).astype(np.uint8)).convert(mode).save("other.png")
         assert np.array_equal(read_images("other.png")[0][0] > 127, DIGITS[0] > 127)
+
+
+KINDS = {"--plot": "out.png", "--gif": "out.gif", "--vtk": "out.vtu", "--moose": "out"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["seven.png", "--plot", "seven.png"], "input seven.png"),
+        (["seven.png", "--plot", "./Seven.PNG"], "input seven.png"),
+        (["link.png", "--plot", "seven.png"], "input link.png"),
+        (["seven.png", "--plot", "link.png"], "input seven.png"),
+        (["seven.png", "--plot", "hard.png"], "input seven.png"),
+        (["seven.png", "--plot", "history.svg", "--history", "history.svg"], "input history.svg"),
+        (["seven.png", "x.png", "x_x.png", "--plot", "x.png"], "input x_x.png"),
+        (["x.png", "x_000.png", "--vtk", "out.vtu"], "two files would have the name out_x_000.vtu"),
+        (["seven.png", "--vtk", "out.vtu", "--moose", "out.vtu"], "a file and a folder"),
+        (["seven.png", "--plot", "mine.png"], "mine.png is there already"),
+        (["seven.png", "--gif", "mine.gif"], "mine.gif is there already"),
+        (["seven.png", "--vtk", "mine.pvd"], "mine_001.vtu is there already"),
+        (["seven.png", "--moose", "mine"], "mine/seven.e is there already"),
+        (["seven.png", "--moose", "seven.png"], "seven.png is no folder"),
+        (["seven.png", "--plot", "folder.png"], "folder.png is a folder"),
+        (["seven.png", "--plot", "fifo.png"], "fifo.png is there already"),
+        (["seven.png", "--plot", "/proc/out.png"], "/proc/out.png cannot be written"),
+    ],
+)
+def test_files_in_the_way_are_kept_and_named_before_the_work(folder, run, monkeypatch, arguments, message):
+    for name in ("x.png", "x_x.png", "x_000.png"):
+        (folder / name).write_bytes((folder / "seven.png").read_bytes())
+    (folder / "mine").mkdir()
+    for name in ("mine.png", "mine.gif", "mine_001.vtu", "mine/seven.e"):
+        (folder / name).write_text("mine")
+    (folder / "history.svg").write_text("0.005\n0.01\n")
+    (folder / "folder.png").mkdir()
+    os.mkfifo(folder / "fifo.png")
+    (folder / "link.png").symlink_to(folder / "seven.png")
+    (folder / "hard.png").hardlink_to(folder / "seven.png")
+    monkeypatch.setattr(_images, "inflate", None)  # so that nothing is inflated
+    before = state(folder)
+    code, _, err = run(*arguments)
+    assert code == 1 and message in err and "Traceback" not in err
+    assert state(folder) == before
+
+
+def state(folder):
+    return {str(path): path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
+
+
+def test_the_same_command_again_replaces_what_it_wrote(folder, run):
+    wanted = ["--plot", "out.png", "--vtk", "out.vtu", "--moose", "out", "--steps", "2"]
+    for image in ("seven.png", "stack.npy", "seven.png"):
+        assert run(image, *wanted)[0] == 0
+    (folder / "out.vtu").write_text("mine now")
+    code, _, err = run("seven.png", *wanted)
+    assert code == 1 and "out.vtu is there already" in err and (folder / "out.vtu").read_text() == "mine now"
+
+
+@pytest.mark.parametrize("option", KINDS)
+def test_a_full_disk_leaves_nothing_and_names_the_file(folder, run, option):
+    """The limit on the size of a file stands in for the disk."""
+    inflate(label_image(DIGITS[0]), n_steps=1)  # compiled code is kept in files as well
+    before, there = resource.getrlimit(resource.RLIMIT_FSIZE), state(folder)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (3_000, before[1]))
+        code, _, err = run("seven.png", "--steps", "3", option, f"new/{KINDS[option]}")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert code == 1 and "File too large: 'new/out" in err and state(folder) == there
+
+
+@pytest.mark.parametrize(("option", "name"), [*((option, "SIGINT") for option in KINDS), ("--vtk", "SIGTERM")])
+def test_an_interruption_leaves_nothing(folder, run, monkeypatch, option, name):
+    """The signal arrives when the first file has been written, but not all of it has been handed out."""
+
+    def interrupt(_, target, *__):
+        signal.raise_signal(getattr(signal, name))
+
+    there = state(folder)
+    monkeypatch.setattr("os.replace", interrupt)
+    assert run("seven.png", "--steps", "2", option, f"new/{KINDS[option]}")[0] != 0
+    assert state(folder) == there
+
+
+def test_meshes_are_not_results_of_other_cases(folder, run):
+    (folder / "seven_out.png").write_bytes((folder / "seven.png").read_bytes())
+    for order in (["seven.png", "seven_out.png"], ["seven_out.png", "seven.png"]):
+        code, out, _ = run(*order, "--moose", "cases", "--steps", "1", "--json")
+        meshes = [record["files"][1] for record in json.loads(out)["structures"]]
+        assert code == 0 and not {mesh.replace(".e", "_out.e") for mesh in meshes} & set(meshes)
+
+
+@pytest.mark.parametrize("ending", [".png", ".PNG", ".jpg", ".jpeg", ".JPEG", ".tif", ".TIFF", ".svg", ".SVG", ".pdf"])
+def test_endings_are_taken_for_what_they_are(folder, run, ending):
+    code, out, err = run("seven.png", "--steps", "1", "--plot", f"Out{ending}", "--json")
+    assert code == 0 and json.loads(out)["structures"][0]["files"] == [f"Out{ending}"], err
+    if ending.lower() not in (".svg", ".pdf"):
+        with Image.open(f"Out{ending}") as picture:
+            assert picture.format == {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG"}.get(ending.lower(), "TIFF")
+        Image.fromarray(DIGITS[0]).save(f"in{ending}", quality=100)
+        assert run(f"in{ending}", "--steps", "1")[0] == 0
+
+
+def test_capital_endings_of_series_and_animations(folder, run):
+    for name, files in (("Out.PVD", ["Out.PVD"]), ("Two.VTU", ["Two.pvd", "Two.VTU"]), ("Out.GIF", ["Out.GIF"])):
+        option = "--gif" if name.endswith("GIF") else "--vtk"
+        code, out, _ = run("seven.png", "--steps", "1", option, name, "--json")
+        assert code == 0 and json.loads(out)["structures"][0]["files"] == files
+        assert set(files) <= set(os.listdir(folder))
+
+
+def test_version(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["inflate", "--version"])
+    with pytest.raises(SystemExit) as end:
+        app.run()
+    assert not end.value.code and capsys.readouterr().out == f"inflate {inflate_lib.__version__}\n"
