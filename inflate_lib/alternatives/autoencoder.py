@@ -10,15 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._cache import digest
 from inflate_lib._checks import whole_number, workers
 from inflate_lib.alternatives._training import train_once
 from inflate_lib.datasets.split import training_rows
-from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import descriptor_matrix
-from inflate_lib.descriptors.registry import added_version
 from inflate_lib.diffusion.randomness import initialised, random_generator, seed_for
-from inflate_lib.experiments.run import check_targets, judge
+from inflate_lib.experiments.run import check_targets, judge_once
 from inflate_lib.models.calibration import Calibration
 
 if TYPE_CHECKING:
@@ -164,21 +162,13 @@ def run_autoencoder(
     workers(n_jobs)
     targets = check_targets(model, descriptor, targets)
     told = targets if calibration is None else calibration.told(targets)
-
-    def make(target, scratch):
-        images = model.generate(told, seed_for(seed, descriptor))
-        data = judge(images, descriptor, targets, n_jobs=n_jobs, folder=scratch)
-        save_dataset(data, target)
-
     weights = [value.numpy() for _, value in sorted(model.net.state_dict().items())]
-    key = {
-        "descriptor": descriptor,
-        "model": digest(*weights, model.condition_min, model.condition_max),
-        "targets": digest(targets, told),
-        "seed": seed,
-        "code": step_version("alternative") + added_version(),
-    }
-    return load_dataset(cached("experiment", key, make, ".nc"))
+    key = {"model": digest(*weights, model.condition_min, model.condition_max), "told": digest(told), "seed": seed}
+
+    def draw(scratch):
+        return model.generate(told, seed_for(seed, descriptor))
+
+    return judge_once("alternative", draw, descriptor, targets, np.arange(len(targets)), key, n_jobs)
 
 
 def calibrate_autoencoder(model, descriptor, data, seed=0, n=200, n_jobs=-1):

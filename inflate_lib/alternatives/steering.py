@@ -19,15 +19,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._cache import digest
 from inflate_lib._checks import number, whole_number
-from inflate_lib.datasets.storage import load_dataset, save_dataset
-from inflate_lib.descriptors.registry import added_version
 from inflate_lib.diffusion import process
 from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.diffusion.sampling import denoise, guided, noise_images
 from inflate_lib.diffusion.schedule import at
-from inflate_lib.experiments.run import check_targets, judge, model_digest
+from inflate_lib.experiments.run import check_targets, judge_once, model_digest
 from inflate_lib.structures import labels
 
 if TYPE_CHECKING:
@@ -133,23 +131,20 @@ def run_steered(model, targets, trained, strength, n_per_target, seed, n_jobs=-1
     level = np.repeat(np.arange(len(targets)), n_per_target)
     told = model.told(model.name, targets)
 
-    def make(target, scratch):
+    def draw(scratch):
         images = [
             steer(model, told[rows], targets[rows], trained, strength, seed_for(seed, model.name), start)
             for start in range(0, len(level), 256)
             for rows in [level[start : start + 256]]
         ]
-        save_dataset(judge(np.concatenate(images), model.name, targets, level, n_jobs, scratch), target)
+        return np.concatenate(images)
 
     key = {
-        "descriptor": model.name,
         "model": model_digest(model.trained),
         "surrogate": digest(*(value.numpy() for _, value in sorted(trained.net.state_dict().items()))),
-        "targets": digest(targets, told),
+        "told": digest(told),
         "strength": strength,
-        "n_per_target": n_per_target,
         "sampling": model.sampling,
         "seed": seed,
-        "code": step_version("alternative") + added_version(),
     }
-    return load_dataset(cached("experiment", key, make, ".nc"))
+    return judge_once("alternative", draw, model.name, targets, level, key, n_jobs)

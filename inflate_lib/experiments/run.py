@@ -80,24 +80,27 @@ def run_experiment(
     level = np.repeat(np.arange(len(targets)), n_per_target)
     told = model.told(descriptor, targets)
 
-    def make(target, scratch):
+    def draw(scratch):
         drawn = _draw(model, told[level], seed_for(seed, descriptor), scratch)
-        images = np.concatenate(list(_progress.track(drawn, len(level), f"generating structures ({descriptor})")))
-        data = judge(images, descriptor, targets, level, n_jobs, scratch)
-        data.attrs |= {"seed": seed} | {f"sampling_{k}": v for k, v in model.sampling.items()}
-        save_dataset(data, target)
+        return np.concatenate(list(_progress.track(drawn, len(level), f"generating structures ({descriptor})")))
 
-    key = {
-        "descriptor": descriptor,
-        "model": model_digest(model.trained),
-        "objective": model.trained.config.objective,
-        "targets": digest(targets),
-        "told": digest(told),
-        "n_per_target": n_per_target,
-        "sampling": model.sampling,
-        "seed": seed,
-        "code": step_version("experiment") + added_version(),
-    }
+    key = {"model": model_digest(model.trained), "objective": model.trained.config.objective, "told": digest(told)}
+    key |= {"sampling": model.sampling, "seed": seed}
+    found = judge_once("experiment", draw, descriptor, targets, level, key, n_jobs)
+    return found.assign_attrs({"seed": seed} | {f"sampling_{k}": v for k, v in model.sampling.items()})
+
+
+def judge_once(step, draw, descriptor, targets, level, key, n_jobs=-1):
+    """:func:`judge` what ``draw(scratch)`` draws for targets, and keep it in the cache.
+
+    `step` is what the drawing runs through (:data:`inflate_lib._cache.STEPS`), and `key` what else it depends on.
+    """
+
+    def make(target, scratch):
+        save_dataset(judge(draw(scratch), descriptor, targets, level, n_jobs, scratch), target)
+
+    key = {"descriptor": descriptor, "targets": digest(targets, level), **key}
+    key["code"] = step_version(step) + added_version()
     return load_dataset(cached("experiment", key, make, ".nc"))
 
 
