@@ -220,3 +220,18 @@ def test_parts_of_a_descriptor_are_withheld_by_nan():
     assert not torch.allclose(net(x, t, zeros), net(x, t, nothing))  # a value of zero is not the same as none
     with pytest.raises(ValueError, match="do not make up 4"):
         shaken(n_conditions=4, parts=[1, 2])
+
+
+@pytest.mark.parametrize("conditioning", _CONDITIONINGS)
+def test_each_block_is_told_silu_of_the_context_through_a_map_with_a_bias(conditioning):
+    """The context is the sum of two embeddings; what reaches the blocks has gone through SiLU once more."""
+    net, told = UNet(2, (4, 8), 16, conditioning=conditioning), []
+    blocks = [module for module in net.modules() if isinstance(module, ResidualBlock)]
+    for block in blocks:
+        block.context.register_forward_pre_hook(lambda _, given: told.append(given[0]))
+        assert block.context.bias is not None
+    t, y = torch.tensor([7, 700]), torch.rand(2, 2)
+    net(torch.randn(2, 1, 28, 28), t, y)
+    context = sinusoidal_embedding(t, 16) + net.descriptor(y)
+    assert len(told) == len(blocks) == 6
+    assert all(torch.allclose(given, context * context.sigmoid()) for given in told)
