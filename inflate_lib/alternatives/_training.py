@@ -9,7 +9,7 @@ from inflate_lib._cache import cached, step_version
 from inflate_lib.diffusion import storage
 from inflate_lib.diffusion.loop import fit
 
-RATE = 2e-3  # the largest learning rate
+_RATE = 2e-3  # the largest learning rate
 
 
 def train_once(
@@ -43,7 +43,7 @@ def train_once(
     """
 
     def make(target, scratch):
-        history, seconds = fit(net, loss, pairs, **options, learning_rate=RATE, folder=scratch, progress=progress)
+        history, seconds = fit(net, loss, pairs, **options, learning_rate=_RATE, folder=scratch, progress=progress)
         storage.write(target, kind, net.state_dict(), {"history": history, "seconds": seconds})
 
     path = cached(kind, {**key, **options, "code": step_version("alternative")}, make, ".safetensors")

@@ -66,7 +66,7 @@ def design(
 
     check_sizes(size_mm=size_mm, depth_mm=depth_mm)
     unit = size_mm if outline_unit is None else outline_unit
-    targets = read_targets(height, width, area, axis, outline, unit, stress, stretch)
+    targets = read_targets(axis, outline, unit, height=height, width=width, area=area, stress=stress, stretch=stretch)
     constraints = from_millimetres(size_mm, min_void_mm, max_material_mm2, symmetric, keep_out_mm)
     inputs = [path for path in (axis, outline) if path is not None]
     kill_is_ctrl_c()

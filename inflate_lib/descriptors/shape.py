@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
 
 AXIS_POINTS = 30
-EVEN = 1e-3  # relative difference up to which increments of height count as equal
+_EVEN = 1e-3  # relative difference up to which increments of height count as equal
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def check_axis(name: str, value: Any) -> np.ndarray:
         row = int(np.argmax(rise <= 0)) + 2
         raise ValueError(f"{name}: its points must rise from the bottom to the top; point {row} does not")
     points = points - points[0]
-    if len(points) == AXIS_POINTS and np.ptp(rise) <= EVEN * rise.mean():
+    if len(points) == AXIS_POINTS and np.ptp(rise) <= _EVEN * rise.mean():
         return points
     y = points[-1, 1] * np.arange(AXIS_POINTS) / AXIS_POINTS
     return np.column_stack([np.interp(y, points[:, 1], points[:, 0]), y])

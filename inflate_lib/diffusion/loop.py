@@ -18,8 +18,8 @@ from inflate_lib.diffusion._logs import Log
 from inflate_lib.diffusion.randomness import random_generator
 
 CHECKPOINT = "checkpoint.safetensors"
-WARMUP = 50  # steps, of :func:`fit`
-PIECES = 20  # of a run of :func:`fit`, each with a checkpoint and an entry of the history
+_WARMUP = 50  # steps, of :func:`fit`
+_PIECES = 20  # of a run of :func:`fit`, each with a checkpoint and an entry of the history
 
 
 class Loop:
@@ -193,7 +193,7 @@ class _Fit(Loop):
     """The loop of :func:`fit`."""
 
     def __init__(self, net: nn.Module, loss: Callable, n: int, steps: int, batch_size: int, seed: int, **options):
-        every = max(1, math.ceil(steps / PIECES))
+        every = max(1, math.ceil(steps / _PIECES))
         options |= {"log_every": every, "checkpoint_every": every}
         identity = {"steps": steps, "batch_size": batch_size, "seed": seed}
         super().__init__(net, steps, min(batch_size, n), identity=identity, **options)
@@ -208,7 +208,7 @@ class _Fit(Loop):
 
     def rate(self) -> float:
         decay = 0.5 * (1 + math.cos(math.pi * self.step / self.total))
-        return self.learning_rate * (min(1.0, (self.step + 1) / WARMUP) * decay)
+        return self.learning_rate * (min(1.0, (self.step + 1) / _WARMUP) * decay)
 
 
 def fit(

@@ -93,7 +93,7 @@ def run_experiment(
 def judge_once(step, draw, descriptor, targets, level, key, n_jobs=-1):
     """:func:`judge` what ``draw(scratch)`` draws for targets, and keep it in the cache.
 
-    `step` is what the drawing runs through (:data:`inflate_lib._cache.STEPS`), and `key` what else it depends on.
+    `step` is what the drawing runs through (``inflate_lib._cache.STEPS``), and `key` what else it depends on.
     """
 
     def make(target, scratch):

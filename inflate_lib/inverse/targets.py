@@ -139,16 +139,9 @@ def _outline_targets(points):
 
 
 def read_targets(
-    height: float | None = None,
-    width: float | None = None,
-    area: float | None = None,
-    axis: str | Path | None = None,
-    outline: str | Path | None = None,
-    unit: float = 1.0,
-    stress: float | None = None,
-    stretch: float | None = None,
+    axis: str | Path | None = None, outline: str | Path | None = None, unit: float = 1.0, **numbers: float | None
 ) -> Targets:
-    """Targets from numbers and files; None where not asked for.
+    """Targets from files, and from numbers by the names of their descriptors; None where not asked for.
 
     See :func:`_read_axis` and :func:`inflate_lib.inverse.drawings.read_outline`.
 
@@ -158,7 +151,7 @@ def read_targets(
         Where a file is no such file, where nothing is asked for, or more than an outline leaves open.
     """
     positive_number("unit", unit)
-    given: dict[str, Any] = {"height": height, "width": width, "area": area, "stress": stress, "stretch": stretch}
+    given: dict[str, Any] = dict(numbers)
     given["axis"] = None if axis is None else _read_axis(axis)
     given["outline"] = None if outline is None else read_outline(outline, unit)
     try:

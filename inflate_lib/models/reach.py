@@ -16,7 +16,7 @@ from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import OWN, basic, implied, registered
 
 FILE = "reach.npz"  # beside the weights
-AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
+_AGREE = 1e-3  # relative difference up to which two statements of the same length count as one
 _REACH = 0.1  # a target is within reach if a structure of the data set misses it by no more than this
 
 
@@ -88,7 +88,7 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
     asked = _by_component(numbers, wanted)
     for label, reached in _by_component(numbers, values).items():
         least, most = reached.min(), reached.max()
-        if not problem and not least - AGREE * abs(least) <= asked[label] <= most + AGREE * abs(most):
+        if not problem and not least - _AGREE * abs(least) <= asked[label] <= most + _AGREE * abs(most):
             problem = f"{label} {asked[label]:.4g} is out of reach"
     if not problem and miss[nearest] > _REACH:
         together = "together they" if numbers or len(wanted) > 1 else f"the {next(iter(wanted))}"
@@ -122,7 +122,7 @@ def _contradiction(wanted: Mapping[str, np.ndarray]) -> str:
             if name not in wanted:
                 continue
             (value,), (least, most) = wanted[name], bound(vector)
-            if least * (1 - AGREE) <= value <= most * (1 + AGREE):
+            if least * (1 - _AGREE) <= value <= most * (1 + _AGREE):
                 continue
             limit = least if value < least else most
             word = "" if least == most else "at least " if value < least else "at most "
