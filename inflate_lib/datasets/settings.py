@@ -6,8 +6,10 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from inflate_lib.descriptors import describe
-from inflate_lib.mechanics.inflation import inflate
+from inflate_lib.mechanics.inflation import ELEMENTS, WITH_POTENTIAL, inflate
 from inflate_lib.structures.labels import THRESHOLD, label_image
+
+_THRESHOLDS = (THRESHOLD, 0.4, 0.6)
 
 
 @dataclass(frozen=True)
@@ -20,14 +22,12 @@ class _Setting:
     refine: int = 1
 
 
-#: The calibration study: the default first, then one choice changed at a time.
+#: The calibration study: the default first, then every element, threshold and padding, and finer meshes.
 SETTINGS = (
-    _Setting(),
-    _Setting(threshold=0.4),
-    _Setting(threshold=0.6),
-    _Setting(pad=False),
-    _Setting(element="q1"),
-    _Setting(refine=2),
+    *(_Setting(threshold, pad, element) for element in ELEMENTS for threshold in _THRESHOLDS for pad in (True, False)),
+    *(_Setting(threshold, True, element, 2) for element in WITH_POTENTIAL for threshold in _THRESHOLDS),
+    _Setting(element="stabilised", refine=2),
+    *(_Setting(element=element, refine=4) for element in WITH_POTENTIAL),
 )
 
 

@@ -8,6 +8,7 @@ from inflate_lib.plotting.style import COLOURS, figure
 _ELEMENT_STYLES = {
     "q1": ("plain", "s--", COLOURS.target),
     "mean-dilatation": ("mean dilatation", "o-", COLOURS.wall),
+    "stabilised": ("MOOSE's", "d-.", COLOURS.ink),
     "q2": ("biquadratic, graded (FElupe)", "^:", COLOURS.medium),
 }
 

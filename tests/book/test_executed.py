@@ -43,6 +43,10 @@ OF_MNIST = {
     "09_targets": {
         "mean_deviation_percent": (0.9688360362687741, 1e-6),
         "largest_deviation_percent": (2.416231514188971, 1e-6),
+        "height_least_percent": (-0.7387846, 1e-6),
+        "height_most_percent": (-0.1857879, 1e-6),
+        "width_least_percent": (1.3130133, 1e-6),
+        "width_most_percent": (2.4162315, 1e-6),
     },
     "10_scalar_targets": {"chance_error_height": (11.558098879649448, 1e-6)},
     "11_medial_axes": {"axis_chance_px": (3.2710542921283, 1e-6)},

@@ -1,5 +1,6 @@
 """Exact solutions: that they are exact, and that the simulation goes to them; the calibration study."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -148,6 +149,30 @@ def test_truth_of_the_mesh_study_no_longer_moves():
     assert (size.loc["q2", 6] / truth - 1).abs().max(axis=None) < 1e-3
     locked, default = size.loc["q1", 1], size.loc["mean-dilatation", 1]
     assert (locked < default).all(axis=None) and (default < truth).all(axis=None)
+
+
+def test_documents_quote_the_mesh_error_of_many_sevens():
+    """README and the book's first page say what the table of 200 sevens says; the extrapolation is near the truth."""
+    table = pd.read_csv(paths.REFERENCE / "mesh_error.csv").set_index(["element", "refine", "structure"])
+    truth = table.loc["truth"].droplevel("refine")
+    assert len(truth) == 200
+    height, width, area = -100 * (table.loc["mean-dilatation", 1] / truth - 1).mean()
+    quoted = f"{height:.1f} % too low, {width:.1f} % too narrow and {area:.1f} % too small in hull area"
+    for page in (paths.ROOT / "README.md", paths.ROOT / "book" / "index.md"):
+        assert quoted in " ".join(page.read_text(encoding="utf-8").split()), page
+    note = json.loads((paths.REFERENCE / "mesh_error.json").read_text(encoding="utf-8"))
+    assert note["largest_difference_from_biquadratic_percent"] < 0.1
+
+
+def test_calibration_study_tells_locking_from_the_rest_and_no_more():
+    """The plain element is far off; MOOSE's and mean dilatation cannot be told apart; a finer mesh widens."""
+    table = pd.read_csv(paths.REFERENCE / "calibration.csv").set_index(["element", "refine", "threshold", "pad"])
+    default, moose, plain, fine = (
+        table.loc[(element, refine, 0.5, True)]
+        for element, refine in (("mean-dilatation", 1), ("stabilised", 1), ("q1", 1), ("mean-dilatation", 2))
+    )
+    assert plain.change_low > 3 and -0.1 < moose.change_low < moose.change_high < 0.1
+    assert default.height_percent < 0 < default.width_percent < fine.width_low
 
 
 @pytest.mark.slow
