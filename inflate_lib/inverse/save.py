@@ -1,8 +1,6 @@
 """What a design is handed out as: pictures, an outline to cut, solids to print, files for ParaView and MOOSE, a record.
 
-The solids and the outline are the very pixels that were simulated, in millimetres. Where two wall pixels share a corner
-only, and so do the two cavity pixels beside them, no solid exists; there the cavity gets its way, a small notch being
-cut into both walls, since the simulated cavity is one and has one pressure.
+The solids and the outline are the very pixels that were simulated, in millimetres.
 """
 
 import json
@@ -24,13 +22,12 @@ from inflate_lib.io import moose, pictures
 from inflate_lib.io.vtk import vtk_files, write_vtk
 from inflate_lib.mechanics.inflation import PRESSURE, load_history
 from inflate_lib.mechanics.mesh import boundary_loops
-from inflate_lib.structures.labels import FRAME, OUTSIDE, WALL
+from inflate_lib.structures.labels import FRAME, WALL, point_joints
 
 if TYPE_CHECKING:
     from inflate_lib.inverse.search import Designs
 
 SIZE_MM, DEPTH_MM, BASE_MM = 100.0, 20.0, 3.0
-_NOTCH = 0.05  # pixels
 _SEARCH_FILES = ("contact_sheet.png", "designs.csv", "designs.json")
 
 
@@ -217,7 +214,7 @@ def _told(reason):
 
 def _outline_svg(label, size_mm=SIZE_MM):
     """SVG text of a structure's outline: one path for the wall, its cavity cut out; user units are millimetres."""
-    x, y, cells = _opened_grid(label)
+    x, y, cells = _grid(label)
     corners, quads = _corners(x, y), _quads(cells == WALL)
     points = size_mm * (corners * [1, -1] + [0, 1])  # y downwards
     parts = []
@@ -239,7 +236,7 @@ def mould(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM, base_mm=BASE_MM):
     points : (n, 3) float, mm
     triangles : (m, 3) int, counter-clockwise seen from outside
     """
-    x, y, cells = _opened_grid(np.pad(label, 1))  # a rim of one pixel, so that the trough is closed on every side
+    x, y, cells = _grid(np.pad(label, 1))  # a rim of one pixel, so that the trough is closed on every side
     scale = size_mm * (FRAME + 2) / FRAME
     height = np.where(cells == WALL, base_mm, base_mm + depth_mm)
     return solid(scale * x - size_mm / FRAME, scale * y - size_mm / FRAME, height)
@@ -247,37 +244,22 @@ def mould(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM, base_mm=BASE_MM):
 
 def part(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM):
     """The structure itself, its wall extruded, as a closed surface; see :func:`mould`."""
-    x, y, cells = _opened_grid(label)
+    x, y, cells = _grid(label)
     return solid(size_mm * x, size_mm * y, np.where(cells == WALL, depth_mm, 0.0))
 
 
-def _opened_grid(label):
-    """Grid lines x and y in [0, 1] and the labels of the cells between them, no two cells meeting at a corner only.
+def _grid(label):
+    """Grid lines x and y in [0, 1] and the labels of the pixels between them, the first row being the lowest.
 
-    The cells are the pixels, unless there are wall pixels that share a corner only: there four lines more make room
-    for notches.
-
-    Returns
-    -------
-    x, y : (a,), (b,) float, rising
-    cells : (b − 1, a − 1) float, the first row being the lowest
+    Raises
+    ------
+    ValueError
+        Where pixels of the wall share a corner only: there a solid would have no thickness.
     """
-    size = len(label)
-    cells = np.array(label, dtype=float)[::-1]
-    wall = cells == WALL
-    a, b, c, d = wall[:-1, :-1], wall[:-1, 1:], wall[1:, :-1], wall[1:, 1:]
-    pinched = np.argwhere((a == d) & (b == c) & (a != b)) + 1  # lattice points (row, column)
-    lines = [
-        np.unique(np.r_[0 : size + 1, points - _NOTCH, points + _NOTCH]) for points in (pinched[:, 1], pinched[:, 0])
-    ]
-    x, y = lines
-    middle_x, middle_y = (x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2
-    cells = cells[np.ix_(middle_y.astype(int), middle_x.astype(int))]
-    beside = {tuple(point): label_there for point, label_there in _not_wall(label, pinched)}
-    for (row, column), other in beside.items():
-        near = np.ix_(np.abs(middle_y - row) < _NOTCH, np.abs(middle_x - column) < _NOTCH)
-        cells[near] = other
-    return x / size, y / size, cells
+    if point_joints(label):
+        raise ValueError("label: parts of the wall hold together in a single node, of which no solid can be made")
+    lines = np.arange(len(label) + 1) / len(label)
+    return lines, lines, np.asarray(label, dtype=float)[::-1]
 
 
 def solid(x, y, height):
@@ -365,14 +347,6 @@ def _without_nan(value):
     if isinstance(value, list | tuple):
         return [_without_nan(entry) for entry in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def _not_wall(label, pinched):
-    """Each pinched lattice point (row from below, column) with the label of the pixels that are no wall there."""
-    cells = np.asarray(label)[::-1]
-    for row, column in pinched:
-        around = cells[row - 1 : row + 1, column - 1 : column + 1]
-        yield (row, column), around[around != WALL].max(initial=OUTSIDE)
 
 
 def _corners(x, y):
