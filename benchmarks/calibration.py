@@ -7,7 +7,9 @@ says where it comes from. Some minutes on an idle core; what is simulated is kep
 stopped goes on where it was.
 
 Threshold, padding and element of the library were chosen with such a comparison: agreement with Table 1 is in part no
-independent test of them. The default is simulated for all sevens. Any other choice is simulated for a random sample, the same for all choices;
+independent test of them.
+
+The default is simulated for all sevens. Any other choice is simulated for a random sample, the same for all choices;
 what it changes is regressed on the sizes under the default, and all other sevens get the predicted change and the rest
 of the seven in the sample that is most like them. Then all are clustered. Intervals come from resampling the sample;
 those of the change of the mean deviation hold, besides, what the paper's rounding may hide.
