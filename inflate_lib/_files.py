@@ -229,8 +229,9 @@ def naming(path: str | os.PathLike) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.filename is None and error.errno in FULL:
-            raise OSError(error.errno, error.strerror, str(path)) from error
+        if error.filename is None and (error.errno in FULL or "requested and" in str(error)):  # NumPy has no errno
+            code = error.errno or errno.ENOSPC
+            raise OSError(code, error.strerror or os.strerror(code), str(path)) from error
         raise
 
 

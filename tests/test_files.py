@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from inflate_lib import _files, paths
@@ -77,6 +78,13 @@ def test_an_error_names_the_file(tmp_path):
     with pytest.raises(OSError, match="No space left on device") as full, naming(path), open("/dev/full", "w") as file:
         file.write("text")
     assert full.value.filename == str(path)
+    with (
+        pytest.raises(OSError, match="No space left on device") as numpy,
+        naming(path),
+        open("/dev/full", "wb") as file,
+    ):
+        np.zeros(9999).tofile(file)
+    assert numpy.value.filename == str(path)
     with pytest.raises(FileNotFoundError) as missing, draft(path) as place:
         place.read_text()
     assert missing.value.filename == str(path)

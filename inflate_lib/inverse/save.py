@@ -16,7 +16,7 @@ from PIL import Image
 
 import inflate_lib
 from inflate_lib._checks import positive_number
-from inflate_lib._files import check_outputs, file_digest, hand_out_folder, locked, made, sweep, written_before
+from inflate_lib._files import check_outputs, file_digest, hand_out_folder, locked, made, naming, sweep, written_before
 from inflate_lib._provenance import package_versions
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.vtk import vtk_files, write_vtk
@@ -308,7 +308,8 @@ def _write_stl(path, points, triangles):
     """Write a surface as binary STL, in the unit of its points."""
     import meshio
 
-    meshio.Mesh(points, [("triangle", triangles)]).write(path, file_format="stl", binary=True)
+    with naming(path):
+        meshio.Mesh(points, [("triangle", triangles)]).write(path, file_format="stl", binary=True)
 
 
 def _write_design(one, folder, name, designs, size_mm, depth_mm):
