@@ -60,6 +60,8 @@ def _svg_points(path):
         raise RuntimeError(f"{path}: an outline as SVG needs {error.name}: pip install 'inflate-lib[design]'") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+    except RecursionError:
+        raise ValueError(f"{path}: its groups are nested too deeply") from None
     if not curves:
         raise ValueError(f"{path}: the outline is empty; there is no path, polygon, circle, … in it that is painted")
     if len(curves) > 1:

@@ -143,6 +143,7 @@ def test_a_sheared_arc_stays_an_ellipse(tmp_path):
         ('<path d="M0 0 L10"/>', "path cannot be read"),
         ('<path d="M0 0 L1e999 0 L5 5 z"/>', "not finite"),
         ("<text>7</text>", "the outline is empty"),
+        ("<g>" * 3000 + BODY + "</g>" * 3000, "nested too deeply"),
     ],
 )
 def test_what_cannot_be_told_is_said(tmp_path, body, message):
