@@ -93,6 +93,8 @@ def test_input_says_what_the_paper_solves(mesh, tmp_path):
 def test_input_takes_every_parameter():
     case = read_hit(moose._input_text("a", n_steps=4, element="q1", pressure=2e-5, lame=(3, 0.5)))
     assert case["GlobalParams"]["stabilize_strain"] == "false"
+    for stabilised in ("stabilised", "mean-dilatation"):
+        assert read_hit(moose._input_text("a", element=stabilised))["GlobalParams"]["stabilize_strain"] == "true"
     assert {case["Materials"]["stress"][name] for name in ("lambda", "mu")} == {"3.0", "0.5"}
     assert numbers(case["Functions"]["inflation"]["y"]) == pytest.approx([0, 5e-6, 1e-5, 1.5e-5, 2e-5], rel=1e-15)
     assert numbers(case["Executioner"]["TimeStepper"]["time_sequence"]) == [0.25, 0.5, 0.75, 1]
