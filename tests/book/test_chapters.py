@@ -38,3 +38,20 @@ def test_a_chapter_opens_with_the_part_of_the_library_that_it_walks_through(chap
 @pytest.mark.parametrize("page", [*CHAPTERS, *PAGES], ids=lambda path: path.stem)
 def test_names_of_the_library_in_the_book_exist(page):
     assert missing(set(NAME.findall(page.read_text(encoding="utf-8")))) == []
+
+
+def test_what_the_paper_leaves_to_future_work_has_a_row_each():
+    text = (paths.NOTEBOOKS / "12_comparison.md").read_text(encoding="utf-8")
+    section = text.split("## What the paper leaves to future work")[1].split("\n## ")[0]
+    head, _, *rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("|")]
+    assert head[1:3] == ["where", "here"]
+    for named in (
+        "stress and strain fields", "contours, images", "several targets", "ranking by a surrogate", "by simulation",
+        "heterogeneous stiffness", "plasticity", "actuation", "base shapes", "descriptor loss",
+    ):  # fmt: skip
+        assert sum(named in row[0] for row in rows) == 1, named
+    for what, where, here, how in rows:
+        assert where.startswith("Sec") and here in ("done", "partly", "no"), what
+        assert here == "no" or "{doc}`" in how, f"{what}: no chapter is named"
+        recorded = re.findall(r"\{glue:text\}`(\w+)", how)
+        assert here != "done" or recorded or "20_extending" in how, f"{what}: no number is given"
