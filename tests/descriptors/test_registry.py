@@ -15,7 +15,7 @@ from inflate_lib.diffusion import TrainingConfig, train
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.experiments.run import judge, run_experiment
 from inflate_lib.experiments.tables import accuracy, score, scores
-from inflate_lib.inverse import search
+from inflate_lib.inverse import candidates
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.mechanics.adjoint import sensitivities
 from inflate_lib.models.reach import check_reach, load_reach, save_reach
@@ -117,10 +117,10 @@ def test_it_goes_from_training_to_a_drawing(data, monkeypatch):
     assert any("$r$" in text.get_text() for text in fig.findobj(plt.Text))
 
     assert model.draw({"slenderness": targets[0, 0]}, 2).shape == (2, 28, 28)
-    monkeypatch.setattr(search, "generate", lambda *_, **__: DIGITS[:40].astype(np.float32) / 255)
+    monkeypatch.setattr(candidates, "generate", lambda *_, **__: DIGITS[:40].astype(np.float32) / 255)
     found = design(
         {"slenderness": reached[2], "width": float(known["width"][2])}, 2, model=model, data=known,
-        max_candidates=40, refine=2, n_jobs=1, say=None,
+        start_from="model", max_candidates=40, refine=2, n_jobs=1, say=None,
     )  # fmt: skip
     assert found.table()["slenderness"][0] == pytest.approx(reached[2])
     assert found.designs[0].error < 1e-9 and set(found.designs[0].deviations) == {"slenderness", "width"}
