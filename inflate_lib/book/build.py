@@ -1,5 +1,6 @@
 """Build the book from executed notebooks, and from nothing else."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -39,10 +40,13 @@ def run_jupyter_book(builder: str) -> Path:
     """Run one of Jupyter Book's builders, warnings as errors; its first page, ``book/_build/<builder>/index.html``."""
     command = [sys.executable, "-c", "import sys; from jupyter_book.cli.main import main; sys.exit(main())"]
     options = ["--builder", builder, "-n", "-W", "--keep-going"]
+    terminal = getattr(sys.stdout, "encoding", None) or "utf-8"
+    environment = {**os.environ, "PYTHONIOENCODING": f"{terminal}:replace"}  # Sphinx must not die of a character
     complaints = []
     with subprocess.Popen(
-        [*command, "build", str(paths.BOOK), *options], stderr=subprocess.PIPE, text=True, errors="replace"
-    ) as build:
+        [*command, "build", str(paths.BOOK), *options],
+        stderr=subprocess.PIPE, encoding=terminal, errors="replace", env=environment,
+    ) as build:  # fmt: skip
         for line in build.stderr:
             print(line, end="", file=sys.stderr, flush=True)
             complaints += [strip_colour(line.strip())] if _COMPLAINT.search(line) else []
