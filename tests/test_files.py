@@ -11,6 +11,11 @@ import pytest
 
 from inflate_lib import _files, paths
 from inflate_lib._files import check_outputs, draft, hand_out, hand_out_folder, naming
+from inflate_lib.diffusion import storage
+from inflate_lib.diffusion._logs import Log
+from inflate_lib.experiments.card import write_card
+from inflate_lib.models.reach import check_reach_file
+from inflate_lib.models.remote import write_pack
 
 
 @pytest.fixture(autouse=True)
@@ -224,3 +229,22 @@ def test_one_run_at_a_time_has_a_folder(place):
         pass
     with _files.locked(place):
         pass
+
+
+def test_files_of_a_kind_replace_their_kind_alone(tmp_path):
+    """Weights, logs, tables and cards are known by what they hold: they may come from another machine."""
+    for name in ("model.safetensors", "pack.safetensors", "history.csv", "reach.npz", "README.md"):
+        (tmp_path / name).write_text("step,mine\n1,2\n")
+    before = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    for write_it in (
+        lambda: storage.check_files([tmp_path / "model.safetensors"], "model"),
+        lambda: write_pack(tmp_path / "pack.safetensors", np.ones(1), np.ones(1), np.ones(1), {}),
+        lambda: Log(tmp_path, 0),
+        lambda: check_reach_file(tmp_path),
+        lambda: write_card(tmp_path, None, None),
+    ):
+        with pytest.raises(FileExistsError, match="is there already"):
+            write_it()
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+    storage.check_files(paths.PRETRAINED.glob("laptop/*.safetensors"), "model")
+    check_reach_file(paths.PRETRAINED / "laptop")
