@@ -150,7 +150,7 @@ def read_targets(
     ValueError
         Where a file is no such file, where nothing is asked for, or more than an outline leaves open.
     """
-    positive_number("unit", unit)
+    positive_number("the unit of the outline", unit)
     given: dict[str, Any] = dict(numbers)
     given["axis"] = None if axis is None else _read_axis(axis)
     given["outline"] = None if outline is None else read_outline(outline, unit)
