@@ -12,7 +12,7 @@ from inflate_lib.alternatives.surrogate import centred
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
-from inflate_lib.structures.labels import FRAME, OUTSIDE, VOID
+from inflate_lib.structures.labels import FRAME, OUTSIDE, VOID, WALL
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -119,10 +119,15 @@ def differences(labels, others):
     The share of the pixels of both, middle laid on middle, that are not the same; of a structure and its mirror image
     the one that is nearer counts.
     """
-    labels, others = np.reshape(labels, (-1, FRAME, FRAME)), centred(others)
-    shares = np.ones((len(labels), len(others)))
-    for flip in (1, -1):
-        for row, one in zip(shares, centred(labels[:, :, ::flip]), strict=True):
-            either = ((others != OUTSIDE) | (one != OUTSIDE)).sum(axis=(1, 2))
-            np.minimum(row, (others != one).sum(axis=(1, 2)) / either, out=row)
-    return shares
+    labels, others = (np.reshape(part, (-1, FRAME, FRAME)) for part in (labels, others))
+    b, shares = _rows(others), []
+    for a in (_rows(labels), _rows(labels[:, :, ::-1])):
+        alike = sum(np.float32(a == value) @ np.float32(b == value).T for value in (WALL, VOID))
+        both = np.float32(a != OUTSIDE) @ np.float32(b != OUTSIDE).T
+        either = np.sum(a != OUTSIDE, axis=1)[:, None] + np.sum(b != OUTSIDE, axis=1) - both
+        shares.append(1 - alike / either)
+    return np.minimum(*shares)
+
+
+def _rows(labels):
+    return centred(labels).reshape(len(labels), FRAME**2)
