@@ -27,4 +27,5 @@ def test_quickstart_draws_verifies_and_shows(tmp_path):
     assert float(best) == pytest.approx(float(wanted), rel=0.006)
     with Image.open(tmp_path / "seen.png") as picture:
         assert min(picture.size) > 200
-    assert os.listdir(tmp_path) == ["seen.png"], "nothing else is written, and nothing is downloaded"
+    assert sorted(os.listdir(tmp_path)) == ["cache", "seen.png"], "nothing else is written"
+    assert os.listdir(tmp_path / "cache") == ["written"], "nothing is downloaded; the record of the picture is kept"
