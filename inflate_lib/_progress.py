@@ -4,7 +4,7 @@ import io
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import IO, Any
 
 MARK = "\x01"  # begins a line that the runner shows while a notebook runs, and does not keep in it
 RUNNER = "INFLATE_MANIFEST"  # set by the runner, to the file in which it wants to be told what was published
@@ -155,7 +155,7 @@ class Bars(Display):
 class Aside(io.TextIOBase):
     """Marks what is printed under the runner: progress would come and go in the book with the state of the cache."""
 
-    def __init__(self, stream: io.TextIOBase):
+    def __init__(self, stream: IO[str]):
         self.stream, self.at_start = stream, True
         self.mark = MARK if RUNNER in os.environ else ""
 

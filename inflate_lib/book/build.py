@@ -47,7 +47,7 @@ def run_jupyter_book(builder: str) -> Path:
         [*command, "build", str(paths.BOOK), *options],
         stderr=subprocess.PIPE, encoding=terminal, errors="replace", env=environment,
     ) as build:  # fmt: skip
-        for line in build.stderr:
+        for line in build.stderr or ():
             print(line, end="", file=sys.stderr, flush=True)
             complaints += [strip_colour(line.strip())] if _COMPLAINT.search(line) else []
     page = paths.BOOK / "_build" / builder / "index.html"

@@ -113,7 +113,8 @@ def check_profile(profile: Profile, notebooks: list[Path]) -> None:
             problems.append("common.profile: the runner sets this one itself")
         elif not users:
             problems.append(f"common.{name}: no notebook declares this parameter")
-        problems += {_mismatch(f"common.{name}", value, default) for default in users} - {None}
+        found = (_mismatch(f"common.{name}", value, default) for default in users)
+        problems += dict.fromkeys(filter(None, found))
     for notebook, section in profile.notebooks.items():
         if notebook not in declared:
             problems.append(f"notebooks.{notebook}: there is no such notebook; there are: {', '.join(declared)}")
@@ -151,9 +152,12 @@ def _declared(notebook: Path, _changed: int, _size: int) -> dict[str, Any]:
     found = {}
     try:
         for line in ast.parse(cells[0].source if cells else "").body:
-            target = line.targets[0] if isinstance(line, ast.Assign) else line.target
-            found[target.id] = ast.literal_eval(line.value)
-    except (SyntaxError, AttributeError, ValueError) as error:
+            match line:
+                case ast.Assign([ast.Name(name)], value) | ast.AnnAssign(ast.Name(name), _, ast.expr() as value):
+                    found[name] = ast.literal_eval(value)
+                case _:
+                    raise ValueError(ast.unparse(line))
+    except (SyntaxError, ValueError) as error:
         raise ProfileError(f"{notebook.name}: the parameters cell may hold only lines `name = plain value`") from error
     if tuples := [name for name, value in found.items() if isinstance(value, tuple)]:
         raise ProfileError(f"{notebook.name}: {', '.join(tuples)}: papermill knows no tuples, write a list")

@@ -203,8 +203,9 @@ def _check_source(work: list[Job]) -> None:
         return
     for job in work:
         before, now = executed_under(job.executed), job.fingerprint["data source"]
-        automatic = job.recipe.source == "auto" and before and before["profile"] == job.fingerprint["profile"]
-        if automatic and before["source"] not in (None, now):
+        if not before or job.recipe.source != "auto" or before["profile"] != job.fingerprint["profile"]:
+            continue
+        if before["source"] not in (None, now):
             raise RunError(
                 f"{job.name} was executed on {_DATA[before['source']]}, and the source 'auto' means {_DATA[now]} now: "
                 f"every notebook would run again. Say --source {now} if that is meant, or --source {before['source']} "

@@ -94,8 +94,8 @@ def units_per_millimetre(path: Path) -> float:
 class _Reader:
     """Walks through the elements of a file in the order in which they are painted."""
 
-    def __init__(self, root):
-        self.by_id: dict[str, Any] = {}
+    def __init__(self, root: ElementTree.Element) -> None:
+        self.by_id: dict[str | None, Any] = {}
         for element in root.iter():
             self.by_id.setdefault(element.get("id"), element)
         self.rules = _rules(root)

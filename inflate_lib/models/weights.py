@@ -231,7 +231,7 @@ def trained_models(names: Sequence[str], recipe: Recipe, data: "xr.Dataset") -> 
     -------
     dict
         Name of the descriptor → :class:`Model`, which draws as the recipe says. It is calibrated where its file holds
-        what the recipe asks for; the others are by :func:`inflate_lib.experiments.calibrate_all`.
+        what the recipe asks for; the others are by :func:`inflate_lib.experiments.calibrate.calibrate_all`.
     """
     found = {}
     for name in names if RETRAIN not in os.environ else ():

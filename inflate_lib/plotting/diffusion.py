@@ -1,11 +1,15 @@
 """Figures of the diffusion chapters: strips of images, schedules, loss weights and the schematic."""
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 from inflate_lib.plotting.style import COLOURS, LINE_STYLES, figure, picture_axes
+
+if TYPE_CHECKING:
+    from inflate_lib.diffusion.schedule import Schedule
 
 _FIVE_STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)))
 
@@ -43,7 +47,7 @@ def plot_denoising(states, steps: Sequence[int]):
     return _plot_strip([states[step] for step in steps], [f"step {step}" for step in steps])
 
 
-def plot_schedules(schedules: Mapping[str, object]):
+def plot_schedules(schedules: "Mapping[str, Schedule]"):
     """What is left of the signal, and the signal-to-noise ratio, along several schedules."""
     fig, (left, right) = figure(1, 2, height=6.2)
     for (name, schedule), style in zip(schedules.items(), LINE_STYLES, strict=False):

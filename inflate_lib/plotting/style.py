@@ -58,7 +58,7 @@ def use_style() -> None:
             "image.interpolation": "nearest",
             "svg.fonttype": "path",
             "svg.hashsalt": "inflate",
-            "axes.prop_cycle": mpl.cycler(
+            "axes.prop_cycle": plt.cycler(
                 color=[COLOURS.wall, COLOURS.target, COLOURS.medium, COLOURS.high, COLOURS.low, COLOURS.ink]
             ),
         }
