@@ -1,6 +1,6 @@
 """Why a generative model at all? Designs that start from its drawings, or from the nearest training structures.
 
-    python benchmarks/opponents.py [--targets 4]
+    python benchmarks/opponents.py --targets 5
 
 asks for held-out targets in both ways, at equal processor time and with the same search, refinement and choice, and
 writes data/reference/opponents.csv, which the chapter "Ask for your own shape" shows, and opponents.json beside it,
