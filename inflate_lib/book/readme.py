@@ -48,7 +48,7 @@ def results() -> str:
         median = f"{row['median point distance (px)']} px" if percent == "–" else f"{percent} %"
         measured_shares = " | ".join(f"{row[f'{share} (%)']} %" for share in shares)
         lines.append(f"| {name} | {row['R²']} | {median} | {measured_shares} |")
-    return "\n".join([*lines, "", _opponents(), _mesh_error()])
+    return "\n".join([*lines, "", _opponents(), "", _mesh_error()])
 
 
 def _opponents():
