@@ -115,7 +115,7 @@ def test_every_table_of_a_notebook_has_a_caption_and_a_name_of_its_own():
             assert shown.startswith("page.table("), f"{where}: a cell ends with the table that it shows"
             options = cell.metadata.get("mystnb", {}).get("figure", {})
             name = options.get("name", "")
-            assert name.startswith(sphinx_ext._TABLE), f"{where}: no name that begins with {sphinx_ext.TABLE}"
+            assert name.startswith(sphinx_ext._TABLE), f"{where}: no name that begins with {sphinx_ext._TABLE}"
             assert len(options.get("caption", "")) > 40, f"{where}: no caption that can be read alone"
             assert owner.setdefault(name, where) is where, f"{where}: named like that of {owner[name]}"
     assert owner
