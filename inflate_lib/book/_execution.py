@@ -4,6 +4,7 @@ import contextlib
 import logging
 import os
 import re
+import shutil
 import signal
 import sys
 import tempfile
@@ -209,8 +210,8 @@ def _report(source: Path, broken: Path, progress: _Progress, message: str, detai
     shown = lines if len(lines) <= 40 else [*lines[:15], "    …", *lines[-24:]]
     parts = [f"{source.name}, {where}: {message}", *(["", cell] if cell else []), "", *shown]
     if cell and broken.is_file():
-        paths.REPORTS.mkdir(parents=True, exist_ok=True)
-        os.replace(broken, kept)
+        with draft(kept) as place:
+            shutil.move(broken, place)  # the cache may be on another disk
         parts += ["", f"The notebook as far as it came: {kept}"]
     return "\n".join(parts)
 

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -265,11 +266,15 @@ def test_a_raising_cell_stops_the_run_and_is_shown(home, monkeypatch):
     assert "ZeroDivisionError" in report.read_text()
 
 
-def test_a_dying_kernel_is_told_from_a_raising_cell(home):
+def test_a_dying_kernel_is_told_from_a_raising_cell(home, monkeypatch):
+    """The cache is on another disk where there is one: a broken notebook gets from there to the reports as well."""
     add(home, "01_first", "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)")
-    with pytest.raises(NotebookFailed, match=r"01_first\.md, code cell 2, line 21: the kernel died"):
-        run(only=["1"])
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as cache:
+        monkeypatch.setattr(paths, "CACHE", Path(cache))
+        with pytest.raises(NotebookFailed, match=r"01_first\.md, code cell 2, line 21: the kernel died"):
+            run(only=["1"])
     assert not list((home / "book" / "notebooks").glob("*.ipynb"))
+    assert "os.kill" in (home / "book" / "_build" / "reports" / "01_first.ipynb").read_text()
 
 
 def test_a_kernel_that_never_lived_is_quoted(home, monkeypatch):
