@@ -150,7 +150,7 @@ class Designs:
         if copies := sum(one.novelty == 0 for one in self.designs):
             lines.append(f"{copies} of the {len(self.designs)} designs are training structures as they are.")
         if self.rejected:
-            lines.append("All of these can be built. Drawings were rejected:")
+            lines.append("All of these can be built. Rejected were:")
             lines += [f"{n:6d}  {reason}" for reason, n in self.rejected.most_common()]
         if self.designs:
             middle = np.median([one.error for one in self.designs])
