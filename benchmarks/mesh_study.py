@@ -3,7 +3,7 @@
     python benchmarks/mesh_study.py
 
 writes data/reference/mesh_study.csv, which the appendix "Verification" reads, and mesh_study.json beside it, which says
-where it comes from. FElupe comes with the test extras. Ten minutes on an idle core; every inflation is kept in the
+where it comes from. FElupe comes with the extra `dev`. Ten minutes on an idle core; every inflation is kept in the
 cache, so that a run that was stopped goes on where it was.
 """
 
@@ -11,20 +11,19 @@ import argparse
 import json
 import sys
 import time
-from importlib.metadata import version
 from pathlib import Path
 
 import pandas as pd
 
-from inflate_lib import build_mesh, describe, inflate, label_image, paths
+from inflate_lib import build_mesh, describe, inflate, label_image
 from inflate_lib._cache import cached, code_version, digest
-from inflate_lib._provenance import package_versions
 from inflate_lib.structures.labels import point_joints
 from inflate_lib.structures.sources import load_sevens
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "helpers"))
 import mechanics_peers
 from mechanics_peers import GRADING, graded_mesh, inflate_with_felupe
+from stored import store
 
 STEPS = ("structures", "mechanics", "descriptors")  # what a row depends on
 REFINEMENTS = {"mean-dilatation": (1, 2, 4, 8), "q1": (1, 2, 4, 8), "q2": (1, 2, 4, 6, 8)}
@@ -65,15 +64,11 @@ def main():
         print(f"{len(rows)} of {len(cases)}, {seconds:.0f} s: {rows[-1]}", flush=True)
 
     table = pd.DataFrame(rows).sort_values(["structure", "element", "refine"])
-    table.to_csv(paths.REFERENCE / "mesh_study.csv", index=False, float_format="%.10g")
-    note = {
-        "made_by": "benchmarks/mesh_study.py",
-        "data": f"{sevens.description}: the first {N_WHOLE} without a joint of one node, and the first with one",
-        "q2": f"biquadratic elements of FElupe, from two per pixel side on graded by {GRADING} towards its ends",
-        "code_version": code,
-        "packages": package_versions() | {"felupe": version("felupe")},
-    }
-    (paths.REFERENCE / "mesh_study.json").write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")
+    store(
+        table, "mesh_study", "mesh_study.py", digits=10,
+        data=f"{sevens.description}: the first {N_WHOLE} without a joint of one node, and the first with one",
+        q2=f"biquadratic elements of FElupe, from two per pixel side on graded by {GRADING} towards its ends",
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

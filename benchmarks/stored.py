@@ -45,8 +45,8 @@ def _versions(*packages):
     return found
 
 
-def store(frame, name, made_by, **note):
-    """Print a table, write it to data/reference/<name>.csv, and where it comes from to <name>.json."""
+def store(frame, name, made_by, digits=6, **note):
+    """Print a table, write it to data/reference/<name>.csv to so many digits, and its origin to <name>.json."""
     table = Table(title=name)
     for column in frame:
         table.add_column(column, justify="left" if frame[column].dtype == object else "right")
@@ -55,7 +55,7 @@ def store(frame, name, made_by, **note):
     Console(width=160).print(table)
     for title, value in note.items():
         print(f"  {title}: {value}")
-    frame.to_csv(paths.REFERENCE / f"{name}.csv", index=False, float_format="%.6g")
+    frame.to_csv(paths.REFERENCE / f"{name}.csv", index=False, float_format=f"%.{digits}g")
     note = {
         "made_by": f"benchmarks/{made_by}",
         **note,

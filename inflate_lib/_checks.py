@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 
-def is_whole_number(value: Any) -> bool:
+def _is_whole_number(value: Any) -> bool:
     """Whether a value is an integer, of Python or NumPy, and not a truth value."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def whole_number(name: str, value: Any, least: int, most: int | None = None) -> int:
     """`value` as an int, or a ValueError where it is no whole number from `least` to `most`."""
-    if is_whole_number(value) and least <= value and (most is None or value <= most):
+    if _is_whole_number(value) and least <= value and (most is None or value <= most):
         return int(value)
     bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
     raise ValueError(f"{name} must be a whole number {bounds}, not {value!r}")
@@ -49,7 +49,7 @@ def numbers(name: str, values: Any, wanted: str, count: int | None = None, finit
 
 def workers(value: Any) -> int:
     """`value` as a number of processes or threads, `n_jobs`, or a ValueError where it is none; -1 is one per core."""
-    if is_whole_number(value) and value != 0:
+    if _is_whole_number(value) and value != 0:
         return int(value)
     raise ValueError(f"n_jobs must be 1, 2, … processes or -1 for one per core, not {value!r}")
 

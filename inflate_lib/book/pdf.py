@@ -13,8 +13,8 @@ from inflate_lib.book.build import check_built, run_jupyter_book
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _APPLICATIONS = ("Chromium.app/Contents/MacOS/Chromium", "Google Chrome.app/Contents/MacOS/Google Chrome")  # macOS
 _FLAGS = ("--headless=new", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars", "--no-first-run")
-PATIENCE = 300_000  # milliseconds of the page's own clock that MathJax may take
-TIMEOUT = 1800  # seconds after which Chromium is ended
+_PATIENCE = 300_000  # milliseconds of the page's own clock that MathJax may take
+_TIMEOUT = 1800  # seconds after which Chromium is ended
 
 
 def _find_chromium() -> Path | None:
@@ -56,13 +56,13 @@ def _print_page(chromium: Path, page: Path, target: Path) -> None:
     """Print one HTML file, after its equations have been set, to a PDF file."""
     with tempfile.TemporaryDirectory() as folder:
         printed = Path(folder) / "book.pdf"
-        words = [*_FLAGS, *_sandbox_flags(), f"--user-data-dir={folder}/profile", f"--virtual-time-budget={PATIENCE}"]
+        words = [*_FLAGS, *_sandbox_flags(), f"--user-data-dir={folder}/profile", f"--virtual-time-budget={_PATIENCE}"]
         words += ["--no-pdf-header-footer", "--generate-pdf-document-outline"]
         words += [f"--print-to-pdf={printed}", page.resolve().as_uri()]
         try:
-            done = subprocess.run([chromium, *words], capture_output=True, text=True, timeout=TIMEOUT, check=False)
+            done = subprocess.run([chromium, *words], capture_output=True, text=True, timeout=_TIMEOUT, check=False)
         except subprocess.TimeoutExpired:
-            raise RuntimeError(f"{chromium} did not print {page} within {TIMEOUT} s") from None
+            raise RuntimeError(f"{chromium} did not print {page} within {_TIMEOUT} s") from None
         if not printed.is_file() or not printed.read_bytes().startswith(b"%PDF"):
             raise RuntimeError(f"{chromium} wrote no PDF of {page}: {done.stderr.strip()[-500:]}")
         with draft(target) as place:

@@ -20,7 +20,7 @@ def _renewed(text: str) -> str:
     ValueError
         A part is missing, or there more than once.
     """
-    for name, make in {"quickstart": quickstart, "results": results}.items():
+    for name, make in {"quickstart": _quickstart, "results": _results}.items():
         begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
         pieces = re.split(f"{begin}.*?{end}", text, flags=re.DOTALL)
         if len(pieces) != 2:
@@ -29,13 +29,13 @@ def _renewed(text: str) -> str:
     return text
 
 
-def quickstart() -> str:
+def _quickstart() -> str:
     """``examples/quickstart.py`` as a block of code."""
     code = (paths.ROOT / "examples" / "quickstart.py").read_text(encoding="utf-8")
     return f"```python\n{code}```"
 
 
-def results() -> str:
+def _results() -> str:
     """What was measured, in short: a table of the laptop weights from their card, designs from two starts, the mesh."""
     card = (paths.PRETRAINED / "laptop" / "README.md").read_text(encoding="utf-8").split("## Accuracy")[1]
     table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in card.splitlines() if line.startswith("| ")]

@@ -25,8 +25,8 @@ from inflate_lib.mechanics.mesh import build_mesh
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.structures.labels import THICKNESS, stages, turns_to_bottom
 
-ENGINES = ("built-in", "moose")
-SIZES = {one.variable: one.title for one in basic() if one.is_size}  # in records, and in the heading of the table
+_ENGINES = ("built-in", "moose")
+_SIZES = {one.variable: one.title for one in basic() if one.is_size}  # in records, and in the heading of the table
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def simulate_files(files, options, inputs=()):
         For outputs that :func:`inflate_lib._files.check_outputs` refuses.
     """
     choice("colour", options.colour, QUANTITIES)
-    choice("engine", options.engine, ENGINES)
+    choice("engine", options.engine, _ENGINES)
     if options.engine == "moose" and options.moose is None:
         raise ValueError("engine moose needs a folder for its files: --moose DIR")
     for path, endings in ((options.plot, PICTURES), (options.gif, (".gif",)), (options.vtk, (".pvd", ".vtu"))):
@@ -137,10 +137,10 @@ def report(records, as_json, options):
         parameters = {k: v for k, v in asdict(options).items() if k not in ("plot", "gif", "vtk", "moose")}
         print(json.dumps({"parameters": parameters, "structures": done}, indent=1, allow_nan=False))
     else:
-        table = Table("structure", *SIZES.values(), "seconds", "files", title=None)
+        table = Table("structure", *_SIZES.values(), "seconds", "files", title=None)
         for record in done:
             if record["converged"]:
-                numbers = [f"{record[key]:.4f}" for key in SIZES]
+                numbers = [f"{record[key]:.4f}" for key in _SIZES]
                 name = f"{record['name']} ({record['note']})" if record["note"] else record["name"]
                 table.add_row(name, *numbers, f"{record['seconds']:.2f}", "\n".join(record["files"]))
         if failed < len(done):
@@ -164,7 +164,7 @@ def _record(name, file, image, note, options, alone):
     """Inflate one image and write its files."""
     start = time.perf_counter()
     record = {"name": name, "file": str(file), "note": note, "converged": False, "reason": ""}
-    record |= dict.fromkeys((*SIZES, "medial_axis")) | {"load_steps": []}
+    record |= dict.fromkeys((*_SIZES, "medial_axis")) | {"load_steps": []}
     written = []
     try:
         if isinstance(image, ValueError):
@@ -209,7 +209,7 @@ def _outputs(name, options, alone, n_steps):
 
 def _sizes(shape):
     """Height, width and hull area of a shape, by name."""
-    return {name: getattr(shape, name) for name in SIZES}
+    return {name: getattr(shape, name) for name in _SIZES}
 
 
 def _distinct(names, ends):

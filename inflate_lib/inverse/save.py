@@ -27,15 +27,15 @@ from inflate_lib.structures.labels import FRAME, WALL, point_joints
 if TYPE_CHECKING:
     from inflate_lib.inverse.search import Designs
 
-SIZE_MM, DEPTH_MM, BASE_MM = 100.0, 20.0, 3.0
+_SIZE_MM, _DEPTH_MM, _BASE_MM = 100.0, 20.0, 3.0
 _SEARCH_FILES = ("contact_sheet.png", "designs.csv", "designs.json")
 
 
 def save_designs(
     designs: "Designs",
     folder: str | Path,
-    size_mm: float = SIZE_MM,
-    depth_mm: float = DEPTH_MM,
+    size_mm: float = _SIZE_MM,
+    depth_mm: float = _DEPTH_MM,
     overwrite: bool = False,
 ) -> list[Path]:
     """Write a contact sheet, a table and a folder for each design.
@@ -101,7 +101,7 @@ def claimed_folder(
         yield folder
 
 
-def write_designs(designs: "Designs", folder: Path, size_mm: float = SIZE_MM, depth_mm: float = DEPTH_MM) -> None:
+def write_designs(designs: "Designs", folder: Path, size_mm: float = _SIZE_MM, depth_mm: float = _DEPTH_MM) -> None:
     """Write designs into a folder from :func:`claimed_folder`; see :func:`save_designs`."""
     import matplotlib.pyplot as plt
 
@@ -212,10 +212,10 @@ def _told(reason):
     return {"reason": reason.name.lower(), "sentence": reason.value}
 
 
-def _outline_svg(label, size_mm=SIZE_MM):
+def _outline_svg(label, size_mm=_SIZE_MM):
     """SVG text of a structure's outline: one path for the wall, its cavity cut out; user units are millimetres."""
-    x, y, cells = _grid(label)
-    corners, quads = _corners(x, y), _quads(cells == WALL)
+    lines, cells = _grid(label)
+    corners, quads = _corners(lines), _quads(cells == WALL)
     points = size_mm * (corners * [1, -1] + [0, 1])  # y downwards
     parts = []
     for loop in boundary_loops(quads):
@@ -228,7 +228,7 @@ def _outline_svg(label, size_mm=SIZE_MM):
     )
 
 
-def mould(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM, base_mm=BASE_MM):
+def mould(label, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM, base_mm=_BASE_MM):
     """The tray in which a structure is cast, as a closed surface: the wall is its trough, the cavity a core in it.
 
     Returns
@@ -236,20 +236,19 @@ def mould(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM, base_mm=BASE_MM):
     points : (n, 3) float, mm
     triangles : (m, 3) int, counter-clockwise seen from outside
     """
-    x, y, cells = _grid(np.pad(label, 1))  # a rim of one pixel, so that the trough is closed on every side
-    scale = size_mm * (FRAME + 2) / FRAME
-    height = np.where(cells == WALL, base_mm, base_mm + depth_mm)
-    return solid(scale * x - size_mm / FRAME, scale * y - size_mm / FRAME, height)
+    lines, cells = _grid(np.pad(label, 1))  # a rim of one pixel, so that the trough is closed on every side
+    lines = size_mm * ((FRAME + 2) * lines - 1) / FRAME
+    return _solid(lines, np.where(cells == WALL, base_mm, base_mm + depth_mm))
 
 
-def part(label, size_mm=SIZE_MM, depth_mm=DEPTH_MM):
+def part(label, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM):
     """The structure itself, its wall extruded, as a closed surface; see :func:`mould`."""
-    x, y, cells = _grid(label)
-    return solid(size_mm * x, size_mm * y, np.where(cells == WALL, depth_mm, 0.0))
+    lines, cells = _grid(label)
+    return _solid(size_mm * lines, np.where(cells == WALL, depth_mm, 0.0))
 
 
 def _grid(label):
-    """Grid lines x and y in [0, 1] and the labels of the pixels between them, the first row being the lowest.
+    """Grid lines in [0, 1], in x and in y, and the labels of the pixels between them, the first row being the lowest.
 
     Raises
     ------
@@ -258,27 +257,26 @@ def _grid(label):
     """
     if point_joints(label):
         raise ValueError("label: parts of the wall hold together in a single node, of which no solid can be made")
-    lines = np.arange(len(label) + 1) / len(label)
-    return lines, lines, np.asarray(label, dtype=float)[::-1]
+    return np.arange(len(label) + 1) / len(label), np.asarray(label, dtype=float)[::-1]
 
 
-def solid(x, y, height):
+def _solid(lines, height):
     """Closed surface of columns on the cells of a grid.
 
     Parameters
     ----------
-    x, y : (a,), (b,) float
-        Grid lines.
-    height : (b − 1, a − 1) float
+    lines : (n,) float
+        Grid lines, in x and in y.
+    height : (n − 1, n − 1) float
         Of each column; 0 for none. At most two heights besides may occur, and no two cells of one height may meet at a
         corner only.
 
     Returns
     -------
-    points : (n, 3) float
+    points : (k, 3) float
     triangles : (m, 3) int, counter-clockwise seen from outside
     """
-    corners = _corners(x, y)
+    corners = _corners(lines)
     levels = np.unique(np.append(height, 0.0))
     points = np.concatenate([np.column_stack([corners, np.full(len(corners), z)]) for z in levels])
     there = height > 0
@@ -286,7 +284,7 @@ def solid(x, y, height):
     top = base + np.searchsorted(levels, height[there])[:, None] * len(corners)
     quads = [base[:, ::-1], top]
     grid = np.pad(height, 1)
-    nodes = np.arange(len(corners)).reshape(len(y), len(x))
+    nodes = np.arange(len(corners)).reshape(len(lines), -1)
     # Across each inner or outer edge of the grid: the lower and the upper height make an upright face, if they differ.
     for here, beyond, start, end in (
         (grid[1:-1, :-1], grid[1:-1, 1:], nodes[:-1], nodes[1:]),  # from left to right across upright edges
@@ -331,7 +329,7 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
         "candidate": one.candidate,
         "origin": one.origin,
         "novelty": one.novelty,
-        "millimetres": {"frame": size_mm, "depth": depth_mm, "base of the mould": BASE_MM},
+        "millimetres": {"frame": size_mm, "depth": depth_mm, "base of the mould": _BASE_MM},
         "search": _search_record(designs),
     }
     _write_json(folder / "design.json", record)
@@ -350,9 +348,9 @@ def _without_nan(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _corners(x, y):
-    """(a b, 2) the points of a grid, row by row."""
-    return np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
+def _corners(lines):
+    """(n², 2) the points of a grid, row by row."""
+    return np.column_stack([np.tile(lines, len(lines)), np.repeat(lines, len(lines))])
 
 
 def _quads(chosen):

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 _PREFERENCES = ("low-stress", "high-stress")
 BATCH = 64  # candidates
-NEAR, INSIDE = 3, 0.5  # misses of up to 3 times the tolerance are refined, until they are at half of it
+_NEAR, _INSIDE = 3, 0.5  # misses of up to 3 times the tolerance are refined, until they are at half of it
 _SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
 _WEIGHTS = ("paper", "laptop", "ci")  # folders of data/pretrained, in the order in which they are looked into
 
@@ -422,8 +422,8 @@ def _measured(label, result, found, candidate, origin):
 
 def _refined(designs, found, seen, tries, n_jobs):
     """The same designs, near misses brought nearer by :func:`inflate_lib.inverse.refine.refine`."""
-    near = [one for one in designs if found.tolerance < one.error <= NEAR * found.tolerance] if tries else []
-    goal = found.tolerance * INSIDE
+    near = [one for one in designs if found.tolerance < one.error <= _NEAR * found.tolerance] if tries else []
+    goal = found.tolerance * _INSIDE
     done = Parallel(n_jobs=n_jobs, backend="threading")(
         delayed(refine_structure)(
             one.label, one.result, found.targets, found.constraints, goal, tries, [found.seed, one.candidate]

@@ -30,7 +30,7 @@ def write_mesh(mesh, path):
     """
     if mesh.clamped.ndim > 1:
         raise ValueError("mesh: nodes that are held in one direction only cannot be written to an Exodus file")
-    elements, sides = pressure_sides(mesh)
+    elements, sides = _pressure_sides(mesh)
     clamped = np.flatnonzero(mesh.clamped)
     sizes = {
         "time_step": None, "len_string": _NAME, "len_name": _NAME, "len_line": 81, "four": 4, "num_dim": 2,
@@ -72,7 +72,7 @@ def write_mesh(mesh, path):
         file.variables["connect1"].elem_type = b"QUAD4"
 
 
-def pressure_sides(mesh):
+def _pressure_sides(mesh):
     """Element, (k,) int, and side, (k,) int 0 to 3, of each pressure edge; side s runs from corner s to the next.
 
     The edges of a mesh run around the cavity, so the side of the element is the same edge the other way round.

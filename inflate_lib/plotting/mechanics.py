@@ -8,6 +8,7 @@ from inflate_lib.plotting.structures import draw_clamped_edge, draw_inflated, dr
 from inflate_lib.plotting.style import COLOURS, HATCHES, figure, picture_axes
 
 STRETCH_MAP = "cividis"  # reads the same in grey and with every colour-vision deficiency
+_SIZES = tuple(f"{one.title} ${one.symbol}$" for one in basic() if one.is_size)
 _HELD_FRAMES = 5  # of an animation, on its last state
 
 
@@ -47,7 +48,7 @@ def plot_response(values, curves, label="time $t$, pressure $0.01\\,t$"):
     """Height, width and hull area over t, or what `label` says; `curves` maps names to (steps, 3) values."""
     fig, axes = figure(1, 3, height=5.2, sharex=True)
     styles = ("-", "--", ":", "-.")
-    for column, (ax, title) in enumerate(zip(axes, ("height $h$", "width $w$", "hull area $A$"), strict=True)):
+    for column, (ax, title) in enumerate(zip(axes, _SIZES, strict=True)):
         for (name, sizes), style, marker in zip(curves.items(), styles, "os^v", strict=False):
             ax.plot(values, sizes[:, column], style, marker=marker, markersize=3, label=name)
         ax.set_xlabel(label)
@@ -74,7 +75,7 @@ def plot_field(results, values, titles, label):
 def plot_refinement(refinements, plain, mean_dilatation):
     """Height, width and hull area, (refinements, 3), of both elements over the number of elements per pixel side."""
     fig, axes = figure(1, 3, height=5.2, sharex=True)
-    for column, (ax, title) in enumerate(zip(axes, ("height $h$", "width $w$", "hull area $A$"), strict=True)):
+    for column, (ax, title) in enumerate(zip(axes, _SIZES, strict=True)):
         ax.plot(refinements, plain[:, column], "s--", color=COLOURS.target, label="plain")
         ax.plot(refinements, mean_dilatation[:, column], "o-", color=COLOURS.wall, label="mean dilatation")
         ax.set_xscale("log", base=2)

@@ -9,9 +9,7 @@ from inflate_lib.descriptors import describe, descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.shape import place_axis
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label, same_scale
-from inflate_lib.plotting.style import COLOURS, LEVELS, TEXT_WIDTH, figure, picture_axes
-
-MARKERS = ("o", "^", "s")
+from inflate_lib.plotting.style import COLOURS, LEVELS, MARKERS, TEXT_WIDTH, figure, picture_axes
 
 
 def plot_generated(experiment, descriptor, n_show=5):

@@ -11,11 +11,10 @@ from scipy.spatial import ConvexHull
 
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.descriptors.shape import axis_height, place_axis
-from inflate_lib.plotting.style import COLOURS, HATCHES, LEVELS, LINE_STYLES, figure, picture_axes
+from inflate_lib.plotting.style import COLOURS, HATCHES, LEVELS, LINE_STYLES, MARKERS, figure, picture_axes
 
 _LABEL_COLOURS = ListedColormap(["white", COLOURS.wall, COLOURS.void])
 _LEVEL_NAMES = ("low", "medium", "high")
-MARKERS = ("o", "^", "s")
 
 
 def draw_mesh(ax, nodes, cells, *, colour=COLOURS.wall, edge="white", linewidth=0.2, **style):

@@ -28,6 +28,7 @@ COLOURS = SimpleNamespace(
 #: Colours of the three targets of a descriptor, with line styles and hatches that survive black-and-white printing.
 LEVELS = (COLOURS.low, COLOURS.medium, COLOURS.high)
 LINE_STYLES = ("-", "--", ":")
+MARKERS = ("o", "^", "s")
 HATCHES = ("", "//", "xx")
 
 TEXT_WIDTH = 17.0  # cm

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from inflate_lib.descriptors.registry import basic
 from inflate_lib.plotting.structures import draw_inflated, draw_mesh
 from inflate_lib.plotting.style import COLOURS, figure
 
@@ -40,18 +41,19 @@ def plot_tube(result, exact_radii, refinements, errors):
 
 def plot_mesh_study(table):
     """Errors of height, width and hull area in percent (columns ``…_error``) over refinement, per structure."""
-    fig, axes = figure(1, 3, height=6.0, sharex=True, sharey=True)
-    for ax, quantity in zip(axes, ("height", "width", "hull_area"), strict=True):
+    sizes = [one for one in basic() if f"{one.variable}_error" in table]
+    fig, axes = figure(1, len(sizes), height=6.0, sharex=True, sharey=True)
+    for ax, one in zip(axes, sizes, strict=True):
         for (_, element), rows in table.groupby(["structure", "element"]):
             name, style, colour = _ELEMENT_STYLES[element]
             label = name if rows["structure"].iloc[0] == table["structure"].min() else None
-            ax.plot(rows["refine"], rows[f"{quantity}_error"], style, color=colour, markersize=3.5, label=label)
+            ax.plot(rows["refine"], rows[f"{one.variable}_error"], style, color=colour, markersize=3.5, label=label)
         ax.axhline(0, color=COLOURS.ink, linewidth=0.8)
         ax.set_xscale("log", base=2)
         ax.set_xticks([1, 2, 4, 6, 8], ["1", "2", "4", "6", "8"])
         ax.minorticks_off()
         ax.set_xlabel("elements per pixel side")
-        ax.set_title(quantity.replace("_", " "))
+        ax.set_title(one.title)
     axes[0].set_ylabel("difference from the truth (%)")
     fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return fig
