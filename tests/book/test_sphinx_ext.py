@@ -136,6 +136,7 @@ def test_a_browser_is_found_where_it_is_named_or_usual(tmp_path, monkeypatch):
     monkeypatch.setattr(pdf, "_APPLICATIONS", ())
     monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
     assert pdf._find_chromium() is None
+    monkeypatch.setattr(pdf, "check_built", lambda: None)
     with pytest.raises(RuntimeError, match="no Chromium or Chrome found; install one"):
         pdf.print_book()
     monkeypatch.setenv("PATH", str(tmp_path))

@@ -310,6 +310,7 @@ def test_an_interruption_leaves_nothing(folder, run, monkeypatch, option, name):
     def interrupt(_, target, *__):
         signal.raise_signal(getattr(signal, name))
 
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's background job does without
     there = state(folder)
     monkeypatch.setattr("os.replace", interrupt)
     assert run("seven.png", "--steps", "2", option, f"new/{KINDS[option]}")[0] != 0

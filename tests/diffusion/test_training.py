@@ -633,8 +633,8 @@ def test_configuration_survives_json():
         (np.full((3, 28, 28), 200.0), np.zeros((3, 1)), "between 0 and 1"),
         (np.full((3, 28, 28), np.nan), np.zeros((3, 1)), "between 0 and 1"),
         (np.zeros((3, 28, 28)), [[0.0], [np.nan], [1.0]], "finite"),
-        (np.zeros((3, 28, 28)), "abc", "arrays of numbers"),
-        (torch.zeros(3, 28, 28, requires_grad=True), np.zeros((3, 1)), "arrays of numbers"),
+        (np.zeros((3, 28, 28)), "abc", "conditions must be an array of numbers"),
+        (torch.zeros(3, 28, 28, requires_grad=True), np.zeros((3, 1)), "images must be an array of numbers"),
     ],
 )
 def test_unusable_data_are_named(images, conditions, message):

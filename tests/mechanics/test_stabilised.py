@@ -7,6 +7,7 @@ import pytest
 from mechanics_peers import hook
 
 from inflate_lib import describe, inflate, label_image
+from inflate_lib.descriptors import get_descriptor
 from inflate_lib.mechanics import material, sensitivities
 from inflate_lib.mechanics.inflation import LAMBDA, MU, Inflation, shape_gradients
 from inflate_lib.mechanics.mesh import Mesh, build_mesh
@@ -128,7 +129,7 @@ def test_sevens_differ_little_from_mean_dilatation():
 
 def test_what_needs_a_potential_refuses_it():
     with pytest.raises(ValueError, match="element"):
-        sensitivities(inflate(hook(), 1, "stabilised"), "height")
+        sensitivities(inflate(hook(), 1, "stabilised"), get_descriptor("height").gradient)
 
 
 def test_a_pressure_beyond_what_it_bears_is_reported():
