@@ -4,6 +4,7 @@ import re
 from pkgutil import iter_modules, resolve_name
 
 import jupytext
+import pandas as pd
 import pytest
 
 import inflate_lib
@@ -73,3 +74,18 @@ def test_what_the_paper_leaves_to_future_work_has_a_row_each():
         assert here == "no" or "{doc}`" in how, f"{what}: no chapter is named"
         recorded = re.findall(r"\{glue:text\}`(\w+)", how)
         assert here != "done" or recorded or "20_extending" in how, f"{what}: no number is given"
+
+
+def test_bends_help_heights_and_areas_and_not_widths():
+    """As the chapter on accuracy says in words."""
+    table = pd.read_csv(paths.REFERENCE / "tails.csv").set_index(["descriptor", "calibration", "part"])
+    for name in ("height", "area"):
+        line, bent = (table.loc[(name, way)] for way in ("straight", "bent"))
+        assert bent.loc["all", "R²"] > line.loc["all", "R²"]
+        assert 0 < bent.loc["10", "median"] < line.loc["10", "median"]
+        assert bent.loc["10", "median low"] < 0 < line.loc["10", "median low"]
+    line, bent = (table.loc[("width", way)] for way in ("straight", "bent"))
+    assert bent.loc["all", "R²"] < line.loc["all", "R²"]
+    for end in ("1", "10"):
+        assert line.loc[end, "median low"] < 0 < line.loc[end, "median high"]
+        assert bent.loc[end, "median high"] < 0
