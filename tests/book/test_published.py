@@ -13,7 +13,7 @@ SCALARS = ("height", "width", "box", "area")
 
 
 def measured(measure, name):
-    """A value without its interval, of the 200 held-out targets."""
+    """A value without its interval, of the held-out targets."""
     table = pd.read_csv(paths.EDITION / "held_out_scalars.csv").set_index("measure")
     return float(table.loc[measure, name].split()[0].replace("−", "-"))
 
