@@ -2,7 +2,7 @@
 
     python benchmarks/run.py
 
-wants the test extras (FElupe, scikit-fem) and a machine that does nothing else. The appendix "What it costs" reads the
+wants the extra `dev` (FElupe, scikit-fem) and a machine that does nothing else. The appendix "What it costs" reads the
 tables. How the simulation of the whole data set scales over processes and machines is scale.py's business.
 """
 
