@@ -44,7 +44,7 @@ _SHAPES = {
 }
 #: What a style sheet may say about where and whether something is painted.
 _TELLING = {*_INHERITED, *(name for names in _SHAPES.values() for name in names), "display", "opacity", "transform"}
-_TELLING |= {"clip-path", "mask", "d", "font-size", "overflow"}
+_TELLING |= {"clip-path", "mask", "d", "font-size", "overflow", "scale", "rotate"}
 _POSITIVE = {"rect": ("width", "height"), "circle": ("r",), "ellipse": ("rx", "ry")}  # where not, nothing is painted
 _ALIGNED = {"min": 0.0, "mid": 0.5, "max": 1.0}
 _SELECTOR = re.compile(r"(\*|[\w-]+)?((?:[.#][\w-]+)*)")
@@ -103,7 +103,7 @@ class _Reader:
     def curves(self, element, place, outermost=False, size=None, any_paint=False) -> Iterator[tuple[str, np.ndarray]]:
         """Curves of an element and of what is in it; `size` is the viewport that a `use` gives to a symbol or svg."""
         tag, own = _tag(element), self._declared(element)
-        if own.get("display") == "none" or _share(own.get("opacity")) == 0 or "requiredExtensions" in own:
+        if own.get("display") == "none" or _share(own.get("opacity")) <= 0 or "requiredExtensions" in own:
             return
         place = self._inside(own, place)
         if tag in _SHAPES:
@@ -126,6 +126,9 @@ class _Reader:
         if own.get("font-size", "inherit") != "inherit":
             known = _LENGTH.fullmatch(own["font-size"].strip())
             font = _length(own["font-size"], font, font) if known else _FONT_SIZE
+        for name in ("scale", "rotate"):
+            if own.get(name, "none") != "none":
+                raise ValueError(f"the property {name} is not supported; use transform")
         matrix = place.matrix @ _matrix(own.get("transform", ""), place)
         place = replace(place, style=style, font=font, matrix=matrix)
         clip = self._clip(own.get("clip-path", "none"), place)
@@ -247,6 +250,8 @@ def _rules(root):
             continue
         sheet = tinycss2.parse_stylesheet("".join(element.itertext()), skip_comments=True, skip_whitespace=True)
         for rule in sheet:
+            if rule.type == "at-rule" and rule.lower_at_keyword in ("media", "supports", "layer", "container"):
+                raise ValueError(f"its style sheet has @{rule.at_keyword}, which is not supported")
             if rule.type != "qualified-rule":
                 continue
             declarations = _declarations(rule.content)
@@ -287,7 +292,7 @@ def _points(tag, own, lengths):
             given = lengths if tag in kinds else {"points": own.get("points", "")}
             shape = svgelements.Path(getattr(svgelements, kinds.get(tag, tag.title()))(**given))
     except (ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
-        raise ValueError(f"{tag} cannot be read: {str(error) or type(error).__name__}") from None
+        raise ValueError(f"{tag} cannot be read{f': {error}' if str(error) else ''}") from None
     for curve in shape.as_subpaths():
         points = []
         for segment in curve:
@@ -404,6 +409,9 @@ def _paints(paint, opacity):
     import svgelements
 
     paint = paint.strip().lower()
+    slash = re.search(r"/([^)]*)\)$", paint)  # rgb(0 0 0 / 0%)
+    if slash and _share(slash[1].strip()) <= 0:
+        return False
     if paint in ("none", "transparent") or _share(opacity) <= 0:
         return False
     try:

@@ -34,7 +34,7 @@ def read_outline(path: str | Path, unit: float) -> np.ndarray:
     positive_number("the unit of the outline", unit)
     path = Path(path)
     if not path.is_file():
-        raise ValueError(f"{path} does not exist")
+        raise ValueError(f"{path} is no file" if path.exists() else f"{path} does not exist")
     points = _svg_points(path) if path.suffix.lower() in _SVG else _picture_points(path)
     return points * [1, -1] / unit
 

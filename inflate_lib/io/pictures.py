@@ -122,7 +122,7 @@ def read_images(path: str | Path, resize: bool = False, invert: bool = False) ->
     Parameters
     ----------
     path : path_like
-        A picture (PNG, …: white structure on black, 8 bits), several pages or an animation of them, or ``.npy`` with
+        A picture (PNG, …: white structure on black), several pages or an animation of them, or ``.npy`` with
         (28, 28) or (n, 28, 28) numbers.
     resize : bool
         Fit a picture of another size into 28 × 28: the longer side to 28 pixels, centred on black.
@@ -156,7 +156,7 @@ def read_images(path: str | Path, resize: bool = False, invert: bool = False) ->
 
 
 def read_pages(path: str | Path) -> tuple[list[np.ndarray], str]:
-    """The pictures in a file, each (height, width) 8-bit grey and upright, and a note on what was not read.
+    """The pictures in a file, each (height, width) uint8 grey and upright, and a note on what was not read.
 
     These are the pages of a TIFF and the frames of an animation. A file of several views of one scene (MPO, as some
     cameras write it) or of layers (PSD) is one picture, its first view or what the layers make together. Turned is what
@@ -185,19 +185,29 @@ def read_pages(path: str | Path) -> tuple[list[np.ndarray], str]:
 
 
 class _NotGrey(ValueError):
-    """Why a picture has no 8-bit grey values."""
+    """Why a picture has no grey values that are known to go from black to white."""
 
 
 def _grey(picture):
     """One picture as (height, width) uint8, upright."""
-    if picture.mode.startswith(("I", "F")):
-        raise _NotGrey("has more than 8 bits per pixel; convert it to 8-bit grey")
-    picture = ImageOps.exif_transpose(picture)
-    if picture.has_transparency_data:
-        picture = picture.convert("RGBA")
-        if picture.getchannel("A").getextrema()[0] < 255:
-            raise _NotGrey("is partly transparent; say what is behind it by saving it without alpha")
-    return np.array(picture.convert("L"))
+    tags = getattr(picture, "tag_v2", {})  # of a TIFF: 258 is the number of bits, 262 is 1 where black is zero
+    deep = picture.mode.startswith("I;16") and tags.get(258, 16) in (16, (16,)) and tags.get(262, 1) == 1
+    if picture.mode.startswith(("I", "F")) and not deep:
+        raise _NotGrey("has grey values whose range is not known; convert it to 8-bit grey")
+    clear = picture.info.get("transparency")
+    picture, transparent = ImageOps.exif_transpose(picture), False
+    if deep:
+        grey = np.asarray(picture)
+        transparent = clear is not None and (grey == clear).any()
+        grey = np.rint(grey / 257).astype(np.uint8)  # 65535 becomes 255; what is brighter than half remains so
+    else:
+        if picture.has_transparency_data:
+            picture = picture.convert("RGBA")
+            transparent = picture.getchannel("A").getextrema()[0] < 255
+        grey = np.array(picture.convert("L"))
+    if transparent:
+        raise _NotGrey("is partly transparent; say what is behind it by saving it without alpha")
+    return grey
 
 
 def _read_array(path):

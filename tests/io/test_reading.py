@@ -82,6 +82,26 @@ def test_an_opaque_picture_is_read_whatever_its_channels(tmp_path, mode):
     assert np.array_equal(read_images(tmp_path / f"a.{suffix}")[0][0], SEVENS[0])
 
 
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_sixteen_bits_are_read_and_scaled_by_their_range(tmp_path, suffix):
+    grey = np.random.default_rng(0).integers(0, 65536, (28, 28)).astype(np.uint16)
+    grey[0, :4] = 0, 32767, 32768, 65535
+    Image.fromarray(grey).save(file := tmp_path / f"a.{suffix}")
+    ((found,), _) = read_images(file)
+    assert np.abs(found / 255 - grey / 65535).max() <= 0.5 / 255 + 1e-12
+    assert ((found / 255 > 0.5) == (grey / 65535 > 0.5)).all()
+
+
+def test_a_range_that_is_not_known_is_refused(tmp_path):
+    Image.fromarray(np.zeros((28, 28), np.int32)).save(tmp_path / "32.tif")
+    Image.fromarray(np.zeros((28, 28), np.float32)).save(tmp_path / "float.tif")
+    Image.fromarray(np.zeros((28, 28), np.uint16)).save(tmp_path / "white.tif", tiffinfo={262: 0})  # white is zero
+    Image.fromarray(np.zeros((28, 28), np.uint16)).save(tmp_path / "clear.png", transparency=0)
+    for name in ("32.tif", "float.tif", "white.tif", "clear.png"):
+        with pytest.raises(ValueError, match="partly transparent" if name == "clear.png" else "range is not known"):
+            read_images(tmp_path / name)
+
+
 def test_what_is_behind_a_hole_is_not_guessed(tmp_path):
     picture = Image.fromarray(SEVENS[0])
     picture.convert("P").save(tmp_path / "palette.png", transparency=0)
