@@ -67,6 +67,14 @@ def test_a_module_with_an_underscore_is_for_its_own_package():
             assert not found or found[1] == own or found[1].startswith("_"), f"{path.relative_to(root)} imports {name}"
 
 
+def test_a_function_with_an_underscore_is_for_its_own_module():
+    for path in [*Path(inflate_lib.__file__).parent.rglob("*.py"), *paths.ROOT.glob("benchmarks/*.py")]:
+        for name in imported(path):
+            place = paths.ROOT.joinpath(*name.split("."))
+            private = name.startswith("inflate_lib.") and place.name.startswith("_")
+            assert not private or place.with_suffix(".py").is_file(), f"{path.name} imports {name}"
+
+
 @pytest.mark.parametrize("name", sorted(PACKAGES - {"cli"}))
 def test_a_package_hands_on_a_handful(name):
     assert len(import_module(f"inflate_lib.{name}").__all__) <= 13

@@ -13,13 +13,7 @@ from inflate_lib.descriptors import DESCRIPTORS
 
 
 def _renewed(text: str) -> str:
-    """Markdown with its generated parts made anew.
-
-    Raises
-    ------
-    ValueError
-        A part is missing, or there more than once.
-    """
+    """Markdown with its generated parts made anew; each has to be there once."""
     for name, make in {"quickstart": _quickstart, "results": _results}.items():
         begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
         pieces = re.split(f"{begin}.*?{end}", text, flags=re.DOTALL)

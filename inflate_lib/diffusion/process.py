@@ -127,17 +127,9 @@ def vlb_term(schedule: Schedule, x0: Tensor, x: Tensor, t: Tensor, noise: Tensor
 
 
 def _variational_bound(schedule: Schedule, predict: Callable, x0: Tensor, generator=None) -> Tensor:
-    """All terms of L_vlb (Eq. 13) for images x₀, in nats per pixel.
+    """(n, T + 1) all terms of L_vlb (Eq. 13) for images x₀, in nats per pixel; the prior term L_T is the last.
 
-    Parameters
-    ----------
-    predict : callable
-        ``predict(x, t)`` → predicted noise, same shape as x.
-
-    Returns
-    -------
-    Tensor, shape (n, T + 1)
-        The terms L_0 … L_{T-1} and the prior term L_T; their sum bounds −log p(x₀) from above.
+    ``predict(x, t)`` is the predicted noise. Their sum bounds −log p(x₀) from above.
     """
     terms = []
     for step in range(len(schedule)):

@@ -248,33 +248,17 @@ def part(label, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM):
 
 
 def _grid(label):
-    """Grid lines in [0, 1], in x and in y, and the labels of the pixels between them, the first row being the lowest.
-
-    Raises
-    ------
-    ValueError
-        Where pixels of the wall share a corner only: there a solid would have no thickness.
-    """
-    if point_joints(label):
+    """Grid lines in [0, 1], in x and in y, and labels of the pixels between them, the first row being the lowest."""
+    if point_joints(label):  # there a solid would have no thickness
         raise ValueError("label: parts of the wall hold together in a single node, of which no solid can be made")
     return np.arange(len(label) + 1) / len(label), np.asarray(label, dtype=float)[::-1]
 
 
 def _solid(lines, height):
-    """Closed surface of columns on the cells of a grid.
+    """Closed surface, as of :func:`mould`, of columns on the cells of a grid with these lines, (n,), in x and in y.
 
-    Parameters
-    ----------
-    lines : (n,) float
-        Grid lines, in x and in y.
-    height : (n − 1, n − 1) float
-        Of each column; 0 for none. At most two heights besides may occur, and no two cells of one height may meet at a
-        corner only.
-
-    Returns
-    -------
-    points : (k, 3) float
-    triangles : (m, 3) int, counter-clockwise seen from outside
+    `height` (n − 1, n − 1) is that of each column, 0 for none; at most two others may occur, and no two cells of one
+    height may meet at a corner only.
     """
     corners = _corners(lines)
     levels = np.unique(np.append(height, 0.0))

@@ -330,11 +330,6 @@ def _find_model(targets, profile=None):
     stretch (``benchmarks/joint.py`` measures both on the same targets). Committed weights come first, the best ones of
     ``data/pretrained`` or those of `profile`; else the model of the profile (``ci`` by default) is found in the cache
     or trained.
-
-    Raises
-    ------
-    ValueError
-        Where stress or stretch is asked for, which the joint model alone takes, and it is not there.
     """
     asked = set(targets.asked)
     singles = [one.name for one in models_in_order() if set(one.parts) <= asked]

@@ -106,19 +106,9 @@ def as_targets(targets):
 
 
 def _outline_targets(points):
-    """Targets that a closed outline stands for: its height, width, hull area and medial axis.
+    """Targets that a closed outline (k, 2) stands for: its height, width, hull area and medial axis.
 
     All descriptors look at the convex hull only, so that a dent in the outline is not asked for.
-
-    Parameters
-    ----------
-    points : (k, 2) array_like
-        Corners in order, y upwards, in lengths of the unit square; the last is joined to the first.
-
-    Raises
-    ------
-    ValueError
-        Where it is empty, spans no area, or crosses itself.
     """
     points = check_points("outline", points)
     size = np.ptp(points, axis=0).max() if len(points) else 0.0
@@ -165,13 +155,7 @@ def read_targets(
 
 
 def _read_axis(path):
-    """Medial axis (30, 2) from a CSV file: two columns x, y, with or without a heading, in lengths of the unit square.
-
-    Raises
-    ------
-    ValueError
-        Naming the file and the line, where it is something else; see :func:`.descriptors.shape.check_axis`.
-    """
+    """Medial axis (30, 2) from a CSV file: two columns x, y, with or without a heading, in sides of the frame."""
     path = Path(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:

@@ -68,18 +68,9 @@ def write_pack(
 
 
 def _train_pack(path: Path, name: str, out: Path, device: str = "auto", compile: bool = False, threads=None) -> Path:
-    """Train one model of a pack; the checkpoints and the log are kept in ``out/checkpoints/<name>``.
+    """Train one model of a pack; its weights in 16 bits, ``out/<name>.safetensors``.
 
-    Returns
-    -------
-    Path
-        The weights in 16 bits, ``out/<name>.safetensors``.
-
-    Raises
-    ------
-    FileNotFoundError, ValueError
-        There is no such pack, or it is damaged, or has no such model; and all errors of
-        :func:`inflate_lib.diffusion.train`.
+    The checkpoints and the log are kept in ``out/checkpoints/<name>``.
     """
     tensors, models = storage.read(path, "pack")
     if name not in models:

@@ -14,19 +14,11 @@ if TYPE_CHECKING:
 _FIVE_STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)))
 
 
-def _plot_strip(images, titles, low=0.0, high=1.0):
-    """Grey images side by side.
-
-    Parameters
-    ----------
-    images : sequence of (h, w) arrays
-    titles : sequence of str
-    low, high : float
-        Values shown black and white; anything beyond is clipped.
-    """
+def _plot_strip(images, titles, low=0.0):
+    """Grey images (h, w) side by side, black at `low` and white at 1; anything beyond is clipped."""
     fig, axes = figure(1, len(images), height=17.0 / len(images) + 0.9, squeeze=False)
     for ax, image, title in zip(axes[0], images, titles, strict=True):
-        picture_axes(ax).imshow(image, vmin=low, vmax=high)
+        picture_axes(ax).imshow(image, vmin=low, vmax=1.0)
         ax.set_title(title)
         ax.spines[:].set_visible(True)
         ax.spines[:].set_color(COLOURS.ghost)
