@@ -112,7 +112,7 @@ def read_history(text):
     try:
         lines = [line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except (OSError, ValueError):
-        raise ValueError(f"history: {text} is neither pressures, like 0.005,0.01,0, nor a file of them") from None
+        raise ValueError(f"history: {text!r} is neither pressures, like 0.005,0.01,0, nor a file of them") from None
     if lines[:1] == ["pressure"]:
         del lines[0]
     try:

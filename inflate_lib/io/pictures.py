@@ -1,5 +1,6 @@
 """From an inflated structure to what mechanicians look at: a picture, an animation, a ParaView series."""
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,8 +71,10 @@ def write_picture(result: "Inflation", path: str | Path, quantity: str = "von-mi
     with in_style():
         fig = plot_inflation(result, values[1:], label, steps - 1)
         try:
+            drawn = io.BytesIO()  # where the disk is full, a PDF that is being written fails in a way of its own
+            fig.savefig(drawn, format=path.suffix.lower()[1:])
             with hand_out(path) as place:
-                fig.savefig(place)
+                place.write_bytes(drawn.getvalue())
         finally:
             plt.close(fig)
     return path

@@ -91,8 +91,9 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
         if not problem and not least - _AGREE * abs(least) <= asked[label] <= most + _AGREE * abs(most):
             problem = f"{label} {asked[label]:.4g} is out of reach"
     if not problem and miss[nearest] > _REACH:
-        together = "together they" if numbers or len(wanted) > 1 else f"the {next(iter(wanted))}"
-        problem = f"{together} cannot be reached: the closest of all structures misses by {miss[nearest]:.0%}"
+        alone = len(asked) + len(lines) == 1
+        problem = f"the {next(iter(wanted))} cannot be reached" if alone else "the targets cannot be reached together"
+        problem += f": the closest of all structures misses by {miss[nearest]:.0%}"
     if not problem:
         return
     spoken_of = {*numbers, *(other for name in lines for other in get_descriptor(name).bounds)}

@@ -62,7 +62,7 @@ def write_pack(
     for name, model in models.items():
         arrays |= {f"{name}.{part}": model[part] for part in ("seen", "mirrored", "unseen")}
         content[name] = {"config": model["config"].as_dict(), "about": model["about"]}
-    tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
+    tensors = {name: torch.from_numpy(np.array(array, order="C")) for name, array in arrays.items()}  # copies
     storage.check_files([path], "pack")
     storage.write(path, "pack", tensors, content)
 

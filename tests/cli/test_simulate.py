@@ -288,15 +288,17 @@ def test_the_same_command_again_replaces_what_it_wrote(folder, run):
     assert code == 1 and "out.vtu is there already" in err and (folder / "out.vtu").read_text() == "mine now"
 
 
-@pytest.mark.parametrize("option", KINDS)
-def test_a_full_disk_leaves_nothing_and_names_the_file(folder, run, option):
+@pytest.mark.parametrize(
+    ("option", "name"), [*KINDS.items(), *(("--plot", f"out.{ending}") for ending in ("pdf", "svg", "jpg", "tif"))]
+)
+def test_a_full_disk_leaves_nothing_and_names_the_file(folder, run, option, name):
     """The limit on the size of a file stands in for the disk."""
     inflate(label_image(DIGITS[0]), n_steps=1)  # compiled code is kept in files as well
     before, there = resource.getrlimit(resource.RLIMIT_FSIZE), state(folder)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (3_000, before[1]))
-        code, _, err = run("seven.png", "--steps", "3", option, f"new/{KINDS[option]}")
+        code, _, err = run("seven.png", "--steps", "3", option, f"new/{name}")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, ignored)

@@ -20,7 +20,7 @@ from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import held_out
 from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import PHYSICAL
-from inflate_lib.diffusion import TrainedModel
+from inflate_lib.diffusion import TrainedModel, storage
 from inflate_lib.diffusion.training import simple_loss
 from inflate_lib.models import RETRAIN, train, weights
 from inflate_lib.models.recipe import Recipe, load_recipe
@@ -268,6 +268,15 @@ def elsewhere(tmp_path_factory):
 
     assert "No module named 'scipy'" in run("-c", "import scipy").stderr
     return lambda *arguments: run("-m", "inflate_lib.models.remote", *arguments)
+
+
+@pytest.mark.parametrize("name", ["height", "box", "axis"])
+def test_a_pack_holds_each_descriptor_and_its_mirror_image(data, tmp_path, name):
+    file = tmp_path / "pairs.safetensors"
+    train.pack(file, [name], RECIPE, data)
+    tensors, _ = storage.read(file, "pack")
+    seen = tensors[f"{name}.seen"].numpy()
+    assert np.array_equal(get_descriptor(name).mirrored(seen), tensors[f"{name}.mirrored"].numpy())
 
 
 @pytest.mark.slow
