@@ -92,9 +92,9 @@ def _plain(value: Any) -> float:
 
 
 def _hint(value: Any) -> str:
-    """What to do about a number that came as text."""
+    """What to do about a number in powers of ten that came as text."""
     try:
         float(value if isinstance(value, str) else "")
     except ValueError:
         return ""
-    return " (YAML reads 1e-3 as text: write 1.0e-3)"
+    return "" if "e" not in value.lower() else " (YAML reads 1e-3 as text: write 1.0e-3)"

@@ -42,6 +42,8 @@ def test_no_positive_number(value):
 def test_a_number_that_came_as_text_comes_with_a_hint():
     with pytest.raises(ValueError, match=r"rate must be a number of at least 0, not '1e-3' \(YAML reads 1e-3 as text"):
         number("rate", "1e-3", least=0)
+    with pytest.raises(ValueError, match=r"not '0\.001'$"):
+        number("rate", "0.001", least=0)
     with pytest.raises(ValueError, match=r"not 'fast'$"):
         number("rate", "fast", least=0)
 
