@@ -82,7 +82,7 @@ def training_variants(training: Mapping) -> dict:
 def sampling_ablation(
     model: "Model", data: "xr.Dataset", targets: "np.ndarray", seed: int = 0, n_calibration: int = 0
 ) -> pd.DataFrame:
-    """The same targets, sampled in every way of :func:`_sampling_variants`.
+    """The same targets, sampled in every way of ``_sampling_variants``.
 
     With `n_calibration` structures each way is calibrated by itself; the last row is then the model's own way without.
 

@@ -73,7 +73,7 @@ def simulate_files(files, options, inputs=()):
     ValueError
         For options that make no sense with any image.
     OSError
-        For outputs that :func:`inflate_lib._files.check_outputs` refuses.
+        For outputs that ``inflate_lib._files.check_outputs`` refuses.
     """
     choice("colour", options.colour, QUANTITIES)
     choice("engine", options.engine, _ENGINES)

@@ -71,7 +71,7 @@ def check_files(paths: Iterable[Path], kind: str) -> None:
     Raises
     ------
     OSError
-        See :func:`inflate_lib._files.check_outputs`.
+        See ``inflate_lib._files.check_outputs``.
     """
     check_outputs(paths, ours=read_by(lambda path: read(path, kind)))
 

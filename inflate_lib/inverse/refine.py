@@ -98,7 +98,7 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
     seed : int
         Of the order in which pixels are tried, as far as that is random.
     order : {"sensitivity", "random"}
-        First the pixels that promise to bring the structure nearest to its targets (:func:`_most_promising`), or any.
+        First the pixels that promise to bring the structure nearest to its targets (``_most_promising``), or any.
     trace : list, optional
         Filled with the largest error after each try.
 

@@ -187,7 +187,7 @@ def design(
     n : int
         Number of designs.
     model : Model, optional
-        It draws with its own sampling. By default :func:`_find_model`.
+        It draws with its own sampling. By default ``_find_model``.
     profile : str, optional
         Take the weights of this profile only.
     data : xarray.Dataset, optional

@@ -133,7 +133,7 @@ def read_targets(
 ) -> Targets:
     """Targets from files, and from numbers by the names of their descriptors; None where not asked for.
 
-    See :func:`_read_axis` and :func:`inflate_lib.inverse.drawings.read_outline`.
+    See ``_read_axis`` and :func:`inflate_lib.inverse.drawings.read_outline`.
 
     Raises
     ------
