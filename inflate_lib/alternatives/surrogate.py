@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 CHANNELS, HIDDEN, BATCH = (8, 16, 32), 128, 64
 
 
-class Network(nn.Module):
+class _Network(nn.Module):
     """Two convolutions each on 28, 14 and 7 pixels a side, and two dense layers."""
 
     def __init__(self, outputs: int, channels=CHANNELS, hidden: int = HIDDEN):
@@ -53,7 +53,7 @@ class Surrogate:
     `answers` are the descriptors that it answers with, as one: "height+width+area+axis".
     """
 
-    net: Network
+    net: _Network
     answers: str
     mean: np.ndarray
     scale: np.ndarray
@@ -114,7 +114,7 @@ def train_surrogate(
     scale = np.concatenate(
         [get_descriptor(part).error.scale(values[:, of]) for part, of in zip(told.parts, parts, strict=True)]
     )
-    net = initialised(lambda: Network(told.length), seed)
+    net = initialised(lambda: _Network(told.length), seed)
     x = torch.from_numpy(centred(np.concatenate([labels, labels[:, :, ::-1]])))
     y = torch.from_numpy((np.concatenate([values, told.mirrored(values)]) - mean) / scale).float()
 

@@ -57,7 +57,7 @@ class _Stale(StrEnum):
 
 
 @dataclass(frozen=True)
-class Job:
+class _Job:
     """One notebook under one profile."""
 
     source: Path
@@ -103,7 +103,7 @@ def executed_under(notebook: Path) -> dict[str, str] | None:
         return None
 
 
-def plan(profile_name: str, only: Sequence[str] = ()) -> list[Job]:
+def plan(profile_name: str, only: Sequence[str] = ()) -> list[_Job]:
     """All jobs of a profile, in order, after every check that can be made before anything runs.
 
     Raises
@@ -165,7 +165,7 @@ def reproduce(
     _print_timings(console, profile_name, work, seconds)
 
 
-def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> Job:
+def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> _Job:
     parameters, recipe = profile.parameters(notebook), profile.recipe_of(notebook)
     fingerprint = {
         "profile": profile.name,
@@ -175,7 +175,7 @@ def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> Job:
         "data source": _resolved(recipe.source),
         **shared,
     }
-    return Job(notebook, parameters, recipe, fingerprint)
+    return _Job(notebook, parameters, recipe, fingerprint)
 
 
 def _shared_fingerprint() -> dict[str, Any]:
@@ -195,7 +195,7 @@ def _resolved(source: str) -> str:
     return resolve_source(source)
 
 
-def _check_source(work: list[Job]) -> None:
+def _check_source(work: list[_Job]) -> None:
     """Other data would execute everything again: that has to be asked for."""
     if chosen := os.environ.get(CHOSEN):
         if named := {source for job in work if (source := job.fingerprint["data source"]) not in (None, chosen)}:
@@ -229,7 +229,7 @@ def _named(notebooks: Sequence[Path]) -> str:
     return " and ".join(repr(notebook.stem) for notebook in notebooks)
 
 
-def _run(todo: list[Job], jobs: int, console: Console) -> dict[str, float]:
+def _run(todo: list[_Job], jobs: int, console: Console) -> dict[str, float]:
     """Execute the jobs; seconds by name. The first failure, Ctrl-C or a kill ends all that still run."""
     threads = str(max(1, (os.cpu_count() or 1) // jobs))
     environment = {name: os.environ.get(name, threads) for name in _THREADS}
@@ -253,13 +253,13 @@ def _run(todo: list[Job], jobs: int, console: Console) -> dict[str, float]:
     return seconds
 
 
-def _timed(job: Job, kernels: Kernels, display: Display) -> tuple[str, float]:
+def _timed(job: _Job, kernels: Kernels, display: Display) -> tuple[str, float]:
     start = time.monotonic()
     execute(job.source, job.executed, job.parameters, kernels, display, finish=functools.partial(_stamp, job))
     return job.name, time.monotonic() - start
 
 
-def _stamp(job: Job, notebook: nbformat.NotebookNode, manifest: Path) -> None:
+def _stamp(job: _Job, notebook: nbformat.NotebookNode, manifest: Path) -> None:
     """Write into the executed notebook what it was made from; remove figures that an older version published."""
     published = sorted(set(manifest.read_text(encoding="utf-8").split("\n")) - {""})
     cells = _content(json.loads(nbformat.writes(notebook)))
@@ -305,7 +305,7 @@ def _kill_is_ctrl_c():
         signal.signal(signal.SIGTERM, before)
 
 
-def _print_timings(console: Console, profile: str, work: list[Job], seconds: dict[str, float]) -> None:
+def _print_timings(console: Console, profile: str, work: list[_Job], seconds: dict[str, float]) -> None:
     table = Table(title=f"Profile {profile}")
     table.add_column("notebook")
     table.add_column("seconds", justify="right")

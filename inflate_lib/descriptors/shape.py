@@ -78,14 +78,14 @@ def medial_axis(hull: np.ndarray, points: int = AXIS_POINTS) -> np.ndarray:
         From the bottom upwards; the first point is the origin.
     """
     whole_number("points", points, 1)
-    left, right = hull_sides(hull)
+    left, right = _hull_sides(hull)
     bottom, top = hull[:, 1].min(), hull[:, 1].max()
     height = bottom + (top - bottom) * np.arange(points) / points
     middle = 0.5 * (np.interp(height, left[:, 1], left[:, 0]) + np.interp(height, right[:, 1], right[:, 0]))
     return np.column_stack([middle - middle[0], height - bottom])
 
 
-def hull_sides(hull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _hull_sides(hull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The left and the right side of a convex polygon, each from its lowest to its highest corner.
 
     Parameters

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from inflate_lib._files import check_outputs, draft, read_by
 
-FORMAT = "inflate_lib.diffusion 1"
+_FORMAT = "inflate_lib.diffusion 1"
 
 
 def _digest(tensors: Mapping[str, Tensor], content: str) -> str:
@@ -32,7 +32,7 @@ def write(path: Path, kind: str, tensors: Mapping[str, Tensor], content: Mapping
     """
     text = json.dumps(content)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    header = {"format": FORMAT, "kind": kind, "content": text, "digest": _digest(tensors, text)}
+    header = {"format": _FORMAT, "kind": kind, "content": text, "digest": _digest(tensors, text)}
     with draft(path, durable=True) as place:
         place.write_bytes(save(tensors, metadata=header))
 
@@ -57,7 +57,7 @@ def read(path: Path, kind: str) -> tuple[dict[str, Tensor], dict]:
         raise ValueError(f"{path} is truncated or not a safetensors file ({error})") from error
     # A safetensors file begins with the length of its header (8 bytes) and the header, which is JSON.
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")]).get("__metadata__", {})
-    if header.get("format") != FORMAT or header.get("kind") != kind:
+    if header.get("format") != _FORMAT or header.get("kind") != kind:
         raise ValueError(f"{path} is not a {kind} file written by this library")
     content = header.get("content", "")
     if header.get("digest") != _digest(tensors, content):

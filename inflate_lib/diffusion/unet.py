@@ -29,7 +29,7 @@ def check_conditioning(conditioning: str) -> None:
     choice("conditioning", conditioning, _CONDITIONINGS)
 
 
-def zero(layer: nn.Module) -> None:
+def _zero(layer: nn.Module) -> None:
     """Start a layer at zero."""
     nn.init.zeros_(layer.weight)
     nn.init.zeros_(layer.bias)
@@ -51,7 +51,7 @@ class ResidualBlock(nn.Module):
         self.norm2 = nn.GroupNorm(math.gcd(groups, outputs), outputs)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1)
         self.shortcut = nn.Conv2d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
-        zero(self.conv2)  # each block starts as its shortcut, which makes the first steps stable
+        _zero(self.conv2)  # each block starts as its shortcut, which makes the first steps stable
 
     def forward(self, x: Tensor, context: Tensor) -> Tensor:
         told = self.context(context)[:, :, None, None]
@@ -73,7 +73,7 @@ class _Attention(nn.Module):
         self.norm = nn.GroupNorm(math.gcd(groups, channels), channels)
         self.qkv = nn.Conv2d(channels, 3 * channels, 1)
         self.out = nn.Conv2d(channels, channels, 1)
-        zero(self.out)
+        _zero(self.out)
 
     def forward(self, x: Tensor) -> Tensor:
         n, c, height, width = x.shape
@@ -155,7 +155,7 @@ class UNet(nn.Module):
         self.up_blocks = stages([(2 * last, last), *((2 * fine, fine) for fine, _ in pairs)])
         self.norm = nn.GroupNorm(math.gcd(groups, first), first)
         self.out = nn.Conv2d(first, 1, 3, padding=1)
-        zero(self.out)
+        _zero(self.out)
         self.to(memory_format=torch.channels_last)
 
     @property

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from inflate_lib.models import Model
 
-WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for a drawing to be one structure
+_WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for a drawing to be one structure
 PIECE = 128  # structures generated at a time, which is what a killed run can lose
 
 
@@ -256,7 +256,7 @@ def _is_whole(image):
     """Whether one connected piece holds nearly all bright pixels of a generated image."""
     bright = image > labels.THRESHOLD
     try:
-        return bool(labels.main_component(image).sum() >= WHOLE * bright.sum())
+        return bool(labels.main_component(image).sum() >= _WHOLE * bright.sum())
     except ValueError:
         return False
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _PREFERENCES = ("low-stress", "high-stress")
-BATCH = 64  # candidates
+_BATCH = 64  # candidates
 _NEAR, _INSIDE = 3, 0.5  # misses of up to 3 times the tolerance are refined, until they are at half of it
 _SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
 _WEIGHTS = ("paper", "laptop", "ci")  # folders of data/pretrained, in the order in which they are looked into
@@ -252,7 +252,7 @@ def design(
     started, longest = time.monotonic(), 0.0
     while not found.stopped:
         begun = time.monotonic()
-        more = search.go_on(min(BATCH, max_candidates - found.tried))
+        more = search.go_on(min(_BATCH, max_candidates - found.tried))
         now = time.monotonic()
         longest = max(longest, now - begun)
         if say:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _INTERACTIVE = "interactive"  # profile of a notebook that was opened by hand
 _ITS_RECIPE = "ci"  # the profile whose recipe it has
 #: What is checked of each option of sampling; `generate` itself checks the rest.
-SAMPLING = {
+_SAMPLING = {
     "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
     "steps": partial(whole_number, least=1),
     "eta": share,
@@ -84,9 +84,9 @@ class Recipe:
                 raise ValueError(f"{name} must be a mapping of options, not {getattr(self, name)!r}")
         if own := [name for name in ("seed", "parts") if name in self.training]:
             raise ValueError(f"training: {own[0]} follows from the recipe's seed and the descriptor; leave it out")
-        _check_names("sampling", self.sampling, SAMPLING)
+        _check_names("sampling", self.sampling, _SAMPLING)
         for name, value in self.sampling.items():
-            SAMPLING[name](f"sampling.{name}", value)
+            _SAMPLING[name](f"sampling.{name}", value)
 
     @classmethod
     def from_dict(cls, values: Any) -> "Recipe":

@@ -23,10 +23,10 @@ from inflate_lib.diffusion import TrainedModel, TrainingConfig, storage, train
 from inflate_lib.diffusion.training import choose_device, simple_loss
 from inflate_lib.structures.augmentation import apply_variants, augment_descriptors
 
-Pairs = tuple[np.ndarray, np.ndarray]  # images, conditions
+_Pairs = tuple[np.ndarray, np.ndarray]  # images, conditions
 
 
-def train_and_test(pairs: Pairs, unseen: Pairs, config: TrainingConfig, about: Mapping, *options) -> TrainedModel:
+def train_and_test(pairs: _Pairs, unseen: _Pairs, config: TrainingConfig, about: Mapping, *options) -> TrainedModel:
     """Train a model, measure its loss on pairs that were held out, and write both into its metadata.
 
     ``options`` are the further arguments of :func:`inflate_lib.diffusion.train`.

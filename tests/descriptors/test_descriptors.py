@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from inflate_lib import describe, inflate
 from inflate_lib.descriptors import DESCRIPTORS, Descriptors, descriptor_matrix, get_descriptor
-from inflate_lib.descriptors.shape import AXIS_POINTS, hull_sides
+from inflate_lib.descriptors.shape import AXIS_POINTS, _hull_sides
 
 numbers = st.floats(-5, 5).map(lambda x: round(x, 6))
 clouds = st.lists(st.tuples(numbers, numbers), min_size=3, max_size=40).map(np.array)
@@ -101,7 +101,7 @@ def test_moved_scaled_and_mirrored_shapes(nodes, dx, dy, scale):
 def test_sides_rise_and_share_the_hull(nodes):
     hull = nodes[ConvexHull(solid(nodes)).vertices]
     for start in range(len(hull)):  # whichever corner comes first
-        left, right = hull_sides(np.roll(hull, start, axis=0))
+        left, right = _hull_sides(np.roll(hull, start, axis=0))
         for side in (left, right):
             assert np.all(np.diff(side[:, 1]) > 0)
             assert side[0, 1] == hull[:, 1].min() and side[-1, 1] == hull[:, 1].max()
