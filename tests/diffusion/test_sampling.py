@@ -92,6 +92,7 @@ def test_estimates_of_the_image_are_clipped_where_that_is_wanted(sampler):
 # --- two hills: the whole distribution. Each of these tests would raise a false alarm for one seed in a thousand. -----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sampler", "eta", "objective"),
     [

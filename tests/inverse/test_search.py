@@ -169,7 +169,7 @@ def test_misses_fill_up_and_are_marked(search, data):
 
 
 def test_it_stops_when_there_is_enough_or_the_time_is_up(search, data, monkeypatch):
-    monkeypatch.setattr(searching, "BATCH", 16)
+    monkeypatch.setattr(searching, "_BATCH", 16)
     target = {"height": float(np.median(data.height))}
     found = search(target, 2, tolerance=0.2)
     assert found.tried == 16 and found.stopped is Stop.ENOUGH
@@ -181,7 +181,7 @@ def test_the_seed_decides(model, search, data, monkeypatch):
     seeds = []
     draw = candidates.generate
     monkeypatch.setattr(candidates, "generate", lambda *a, seed, **k: (seeds.append(seed), draw(*a, seed=seed, **k))[1])
-    monkeypatch.setattr(searching, "BATCH", 60)
+    monkeypatch.setattr(searching, "_BATCH", 60)
     search({"height": 0.9}, 60, seed=3)
     search({"height": 0.9}, 60, seed=3)
     search({"height": 0.9}, 60, seed=4)
@@ -190,7 +190,7 @@ def test_the_seed_decides(model, search, data, monkeypatch):
 
 
 def test_the_next_batch_is_told_the_correction(search, model, data, monkeypatch):
-    monkeypatch.setattr(searching, "BATCH", 64)
+    monkeypatch.setattr(searching, "_BATCH", 64)
     found = search({"height": 0.9}, 150, tolerance=1e-3)
     told = [conditions[0, 0] for conditions in model.trained.told]
     assert told[0] == 0.9 and len(found.designs) == 150 and len(told) == 3
@@ -414,7 +414,7 @@ def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
 
 
 def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, model, monkeypatch):
-    monkeypatch.setattr(searching, "BATCH", 16)
+    monkeypatch.setattr(searching, "_BATCH", 16)
     config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS)
     trained = model.trained
     trained.config, trained.condition_min, trained.condition_max = config, np.full(65, -5.0), np.full(65, 5.0)
