@@ -9,7 +9,6 @@ v = √ᾱ ε − √(1 − ᾱ) x₀ of Salimans & Ho (2022).
 """
 
 import math
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -124,20 +123,6 @@ def vlb_term(schedule: Schedule, x0: Tensor, x: Tensor, t: Tensor, noise: Tensor
     kl = gaussian_kl(posterior_mean(schedule, x0, x, t), true_variance, mean, variance)
     first = (t == 0).to(x.device).reshape(-1, *[1] * (x.ndim - 1))
     return torch.where(first, decoder_nll(x0, mean, variance), kl).flatten(1).mean(1)
-
-
-def _variational_bound(schedule: Schedule, predict: Callable, x0: Tensor, generator=None) -> Tensor:
-    """(n, T + 1) all terms of L_vlb (Eq. 13) for images x₀, in nats per pixel; the prior term L_T is the last.
-
-    ``predict(x, t)`` is the predicted noise. Their sum bounds −log p(x₀) from above.
-    """
-    terms = []
-    for step in range(len(schedule)):
-        t = torch.full((len(x0),), step)
-        noise = torch.randn(x0.shape, generator=generator, dtype=x0.dtype)
-        x = add_noise(schedule, x0, t, noise)
-        terms.append(vlb_term(schedule, x0, x, t, predict(x, t)))
-    return torch.stack([*terms, prior_term(schedule, x0)], dim=1)
 
 
 def vlb_weights(schedule: Schedule, objective: str = "epsilon", cap_last: bool = True) -> Tensor:

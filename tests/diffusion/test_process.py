@@ -207,8 +207,12 @@ def test_variational_bound_of_the_exact_model_is_the_entropy():
         left = SCHEDULE.alpha_bars[t[0]]
         return (x - left.sqrt() * mean) * (1 - left).sqrt() / (left * deviation**2 + 1 - left)
 
-    terms = process._variational_bound(SCHEDULE, predict, x0, g)
-    assert terms.shape == (400, 1001)
+    terms = []  # of L_vlb (Eq. 13), the prior term last
+    for step in range(len(SCHEDULE)):
+        t = torch.full((len(x0),), step)
+        x = process.add_noise(SCHEDULE, x0, t, torch.randn(x0.shape, generator=g, dtype=x0.dtype))
+        terms.append(process.vlb_term(SCHEDULE, x0, x, t, predict(x, t)))
+    terms = torch.stack([*terms, process.prior_term(SCHEDULE, x0)], dim=1)
     exact = process.decoder_nll(x0, torch.full_like(x0, mean), torch.full_like(x0, deviation**2)).mean()
     bound = terms.sum(1).mean()
     assert exact < bound < exact + 0.25
