@@ -43,7 +43,7 @@ class Page:
     Parameters
     ----------
     notebook
-        The notebook's name without its suffix: ``"05_descriptors"``.
+        The notebook's name without its suffix: ``"06_descriptors"``.
     namespace
         ``globals()`` of the notebook; its declared parameters are read from there.
 

@@ -8,7 +8,7 @@ A profile is a file ``notebooks/profiles/<name>.yml``::
     common:                  # given to every notebook that declares the parameter
       n_per_target: 50
     notebooks:
-      08_training:           # one section per notebook
+      09_training:           # one section per notebook
         n_losses: 500
 
 A notebook declares its parameters, with their defaults, in the cell tagged ``parameters``. Those that have the name of

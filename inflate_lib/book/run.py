@@ -214,7 +214,7 @@ def _check_source(work: list[_Job]) -> None:
 
 
 def _match(name: str, notebooks: list[Path]) -> Path:
-    """The notebook that ``inflation``, ``04_inflation``, ``04`` or ``4`` means."""
+    """The notebook that ``inflation``, ``05_inflation``, ``04`` or ``4`` means."""
     split = {notebook: notebook.stem.partition("_") for notebook in notebooks}
     found = [n for n, (number, _, title) in split.items() if name in (n.stem, title) or name.zfill(2) == number]
     if not found:

@@ -26,7 +26,7 @@ from inflate_lib.book.page import SOURCES
 from inflate_lib.book.profiles import ProfileError, load_profile
 from inflate_lib.book.run import executed_under
 
-_HERO = "glance"  # published by notebooks/19_explorer.md
+_HERO = "glance"  # published by notebooks/22_explorer.md
 _EXPLORER = "explorer_data"  # likewise
 _HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
 _HERO_CAPTION = (

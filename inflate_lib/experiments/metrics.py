@@ -1,6 +1,6 @@
 """How far structures are from what was asked for, and how sure such numbers are.
 
-Intervals are percentile bootstrap intervals (Efron & Tibshirani 1993, chapter 13): the same number, computed again and
+Intervals are percentile bootstrap intervals (Efron & Tibshirani 1993, chapter 14): the same number, computed again and
 again from resamples of the structures, and the range that holds the middle 95 % of the results."""
 
 from collections.abc import Callable

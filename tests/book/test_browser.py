@@ -222,7 +222,7 @@ def set_slider(slider, value):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_explorer_shows_the_structures_of_its_target(browser, data, width):
     with Reader(browser, width, reduced_motion="reduce") as reader:
-        page = reader.open("notebooks/19_explorer.html")
+        page = reader.open("notebooks/22_explorer.html")
         for kind, label in (("height", "Height"), ("width", "Width"), ("area", "Hull area")):
             page.get_by_role("radio", name=label, exact=True).check()
             for number in (len(data["descriptors"][kind]) - 1, 1):
@@ -240,7 +240,7 @@ def test_the_explorer_shows_the_structures_of_its_target(browser, data, width):
 
 def test_the_explorer_inflates_and_deflates(browser, data):
     with Reader(browser, reduced_motion="reduce") as reader:
-        page = reader.open("notebooks/19_explorer.html")
+        page = reader.open("notebooks/22_explorer.html")
         entries = data["descriptors"]["height"]
         structure = entries[len(entries) // 2]["structures"][0]
         for state in (0, 4, data["states"] - 1):
@@ -257,7 +257,7 @@ def test_a_target_in_the_plane_is_dragged_and_stepped(browser, data):
     entries = data["descriptors"]["box"]
     n = round(len(entries) ** 0.5)
     with Reader(browser, reduced_motion="reduce") as reader:
-        page = reader.open("notebooks/19_explorer.html")
+        page = reader.open("notebooks/22_explorer.html")
         page.get_by_role("radio", name="Height and width").check()
         plane = page.locator(".explorer-plane")
         plane.scroll_into_view_if_needed()
@@ -299,7 +299,7 @@ def test_the_forward_slider_moves_from_image_to_noise(desktop):
 
 def test_without_scripts_there_is_still_a_picture(browser):
     with Reader(browser, java_script_enabled=False) as reader:
-        reader.page.goto((HTML / "notebooks" / "19_explorer.html").as_uri())
+        reader.page.goto((HTML / "notebooks" / "22_explorer.html").as_uri())
         assert "runs no scripts" in reader.page.locator("article noscript").first.inner_text()
         assert reader.page.locator("#fig-explorer-sheet img").is_visible()
         assert not reader.page.locator(".design-explorer").is_visible()
@@ -308,7 +308,7 @@ def test_without_scripts_there_is_still_a_picture(browser):
 def test_a_page_with_equations_prints(browser, tmp_path):
     """The way of `make pdf`, on one chapter; the whole book takes minutes."""
     target = tmp_path / "chapter.pdf"
-    _print_page(_find_chromium(), HTML / "notebooks" / "04_inflation.html", target)
+    _print_page(_find_chromium(), HTML / "notebooks" / "05_inflation.html", target)
     content = target.read_bytes()
     assert content.startswith(b"%PDF") and content.rstrip().endswith(b"%%EOF")
     assert len(re.findall(rb"/Type\s*/Page\b", content)) >= 5

@@ -22,25 +22,25 @@ GOLDEN = {
         "last_image_off": (202.9117, 1e-5),
         "guided_once": (0.5, 0.02),
     },
-    "08_training": {"n_parameters": (369721, 0)},
-    "12_comparison": {"n_numbers": (39, 0)},
-    "16_verification": {
+    "09_training": {"n_parameters": (369721, 0)},
+    "13_comparison": {"n_numbers": (39, 0)},
+    "19_verification": {
         "inner_radius": (0.7481541132, 1e-8),
         "tube_error_percent": (0.8167559, 1e-6),
         "arch_pairs": (8, 0),
     },
-    "17_tools": {"drawing_height": (1.1598597797, 1e-8), "softer_percent": (3.4038248626, 1e-6)},
-    "19_explorer": {"n_targets": (37, 0)},
+    "20_tools": {"drawing_height": (1.1598597797, 1e-8), "softer_percent": (3.4038248626, 1e-6)},
+    "22_explorer": {"n_targets": (37, 0)},
 }
 
 #: The same, where the sevens are MNIST's.
 OF_MNIST = {
-    "03_structures": {"n_images": (6265, 0), "n_open": (0, 0), "n_thinned": (3942, 0)},
-    "04_inflation": {"height": (0.9848232265, 1e-8), "plain_area_percent": (-10.7260597, 1e-6), "n_cells": (212, 0)},
-    "05_descriptors": {"height_after": (0.9848232265, 1e-8), "hull_area_after": (0.7369481474653206, 1e-8)},
-    "06_augmentation": {"n_allowed": (279914, 0), "n_drawn": (71616, 0)},
-    "07_dataset": {"n_converged": (6265, 0), "mean_height": (1.03461646, 1e-7), "mean_hull_area": (0.76989201, 1e-7)},
-    "09_targets": {
+    "04_structures": {"n_images": (6265, 0), "n_open": (0, 0), "n_thinned": (3942, 0)},
+    "05_inflation": {"height": (0.9848232265, 1e-8), "plain_area_percent": (-10.7260597, 1e-6), "n_cells": (212, 0)},
+    "06_descriptors": {"height_after": (0.9848232265, 1e-8), "hull_area_after": (0.7369481474653206, 1e-8)},
+    "07_augmentation": {"n_allowed": (279914, 0), "n_drawn": (71616, 0)},
+    "08_dataset": {"n_converged": (6265, 0), "mean_height": (1.03461646, 1e-7), "mean_hull_area": (0.76989201, 1e-7)},
+    "10_targets": {
         "mean_deviation_percent": (0.9688360362687741, 1e-6),
         "largest_deviation_percent": (2.416231514188971, 1e-6),
         "height_least_percent": (-0.7387846, 1e-6),
@@ -48,14 +48,14 @@ OF_MNIST = {
         "width_least_percent": (1.3130133, 1e-6),
         "width_most_percent": (2.4162315, 1e-6),
     },
-    "10_scalar_targets": {"chance_error_height": (11.558098879649448, 1e-6)},
-    "11_medial_axes": {"axis_chance_px": (3.2710542921283, 1e-6)},
-    "12_comparison": {"table1_largest_deviation": (2.416231514188971, 1e-6)},
-    "13_accuracy": {"n_targets": (626, 0), "n_axes": (625, 0), "yardstick_smallest": (0.0649023, 1e-5)},
-    "14_alternatives": {"median_height_retrieval": (0.0023117228936, 1e-6)},
-    "15_design": {"reach_height": (1.4867695172, 1e-8)},
-    "18_speed": {"factorisations_ten": (184, 0.02), "factorisations_one": (104, 0.04)},
-    "20_extending": {"n_learned": (500, 0)},
+    "11_scalar_targets": {"chance_error_height": (11.558098879649448, 1e-6)},
+    "12_medial_axes": {"axis_chance_px": (3.2710542921283, 1e-6)},
+    "13_comparison": {"table1_largest_deviation": (2.416231514188971, 1e-6)},
+    "14_accuracy": {"n_targets": (626, 0), "n_axes": (625, 0), "yardstick_smallest": (0.0649023, 1e-5)},
+    "15_baselines": {"median_height_retrieval": (0.0023117228936, 1e-6)},
+    "18_design": {"reach_height": (1.4867695172, 1e-8)},
+    "21_speed": {"factorisations_ten": (184, 0.02), "factorisations_one": (104, 0.04)},
+    "23_extending": {"n_learned": (500, 0)},
 }
 
 
@@ -130,7 +130,7 @@ def test_notebook_finds_its_golden_numbers(name):
     found = recorded(paths.EXECUTED / f"{name}.ipynb")
     assert name in GOLDEN | OF_MNIST, f"no golden number for {name}; it recorded {found}"
     golden = GOLDEN.get(name, {})
-    if executed_under(paths.EXECUTED / "07_dataset.ipynb")["source"] == "mnist":
+    if executed_under(paths.EXECUTED / "08_dataset.ipynb")["source"] == "mnist":
         golden = golden | OF_MNIST.get(name, {})
     if not golden:
         pytest.skip("the book was made from the embedded digits; set INFLATE_MNIST_DIR")
@@ -146,8 +146,8 @@ def test_derivations_hold_to_rounding(name):
 
 
 def test_the_models_listen_to_their_descriptors():
-    numbers = recorded(paths.EXECUTED / "10_scalar_targets.ipynb")
+    numbers = recorded(paths.EXECUTED / "11_scalar_targets.ipynb")
     for name in ("height", "width", "box", "area"):
         assert numbers[f"mean_error_{name}"] < numbers[f"chance_error_{name}"], name
-    axes = recorded(paths.EXECUTED / "11_medial_axes.ipynb")
+    axes = recorded(paths.EXECUTED / "12_medial_axes.ipynb")
     assert axes["axis_error_px"] < axes["axis_chance_px"]

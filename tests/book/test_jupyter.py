@@ -115,7 +115,7 @@ def test_a_source_saved_by_a_jupyter_server_is_unchanged(server, folder, name):
 
 
 def test_a_changed_number_is_a_changed_line(server, folder):
-    name = "05_descriptors.md"
+    name = "06_descriptors.md"
     notebook = server.ask("GET", f"contents/{name}?type=notebook")["content"]
     cell = next(cell for cell in notebook["cells"] if "parameters" in cell["metadata"].get("tags", []))
     cell["source"] = cell["source"].replace("n_checked = 30", "n_checked = 31")

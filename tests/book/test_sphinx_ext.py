@@ -64,7 +64,7 @@ def test_what_depends_on_the_run_comes_from_its_own_profile(home):
         folder.mkdir(parents=True)
         (folder / "glance.png").write_text("")
         (folder / "explorer_data.js").write_text("")
-    executed("19_explorer", "laptop", "mnist")
+    executed("22_explorer", "laptop", "mnist")
     config = SimpleNamespace(html_theme_options={}, myst_substitutions={}, html_static_path=["_static"])
     sphinx_ext._configure(None, config)
     assert "../figures/laptop/glance.png" in config.myst_substitutions["hero"]

@@ -42,8 +42,8 @@ def test_bars_are_read_everywhere():
     terminal = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     degrade(terminal)
     with Bars(Console(file=terminal, force_terminal=True)) as bars:
-        bars.started("04_inflation", 3)
-        bars.text("04_inflation", "λ = 16.44 …")
-        bars.finished("04_inflation", 1.0)
+        bars.started("05_inflation", 3)
+        bars.text("05_inflation", "λ = 16.44 …")
+        bars.finished("05_inflation", 1.0)
     terminal.flush()
-    assert b"04_inflation: done" in terminal.buffer.getvalue()
+    assert b"05_inflation: done" in terminal.buffer.getvalue()
