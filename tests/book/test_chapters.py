@@ -22,6 +22,7 @@ FILE = re.compile(r"(?<!\})`((?:inflate_lib|notebooks|book|benchmarks|data|tests
 #: Not in the repository: what commands make, what a reader would write, and what CHANGES.md says is gone.
 MADE = ("book/_build/", "book/notebooks/", "data/cache/", "figures/runs/", "data/pretrained/paper/")
 MADE += ("notebooks/NN_name.md/", "notebooks/profiles/nightly.yml/", "figures/ci/")
+WIDTH = 88  # characters of code that the page of the book shows without scrolling
 WALK = re.compile(r"This chapter walks through `([\w.]+)`: `([\w.]+(?: → [\w.]+)*)`\.")
 
 
@@ -89,3 +90,15 @@ def test_bends_help_heights_and_areas_and_not_widths():
     for end in ("1", "10"):
         assert line.loc[end, "median low"] < 0 < line.loc[end, "median high"]
         assert bent.loc[end, "median high"] < 0
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
+def test_code_fits_the_page_and_what_is_not_to_be_read_is_folded(chapter):
+    """Parameters, imports, and cells that do no more than record the error of a formula."""
+    for cell in jupytext.read(chapter).cells:
+        if cell.cell_type == "code":
+            assert [line for line in cell.source.splitlines() if len(line) > WIDTH] == []
+            tags = cell.metadata.get("tags", [])
+            checks = '_error"' in cell.source and "mystnb" not in cell.metadata
+            if checks or "parameters" in tags or cell.source.startswith(("import ", "from ")):
+                assert {"hide-input", "hide-cell", "remove-cell"} & set(tags), cell.source.splitlines()[0]
