@@ -1,6 +1,6 @@
-# make book   install, execute the notebooks, build the book     make test   run the tests     make help   the rest
+# make book   install, execute the notebooks, build the edition     make test   run the tests     make help   the rest
 PYTHON  ?= python3
-PROFILE ?= ci
+PROFILE ?= laptop
 JOBS    ?= 2
 
 BIN     := .venv/bin
@@ -12,9 +12,9 @@ NEEDS   := pyproject.toml constraints.txt
 
 help: ## show the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
-	@echo "  options: PROFILE=ci|laptop|paper  JOBS=2  PYTHON=python3 (3.11 or 3.12)"
+	@echo "  options: PROFILE=laptop|ci|paper  JOBS=2  PYTHON=python3 (3.11 or 3.12)"
 
-book: .venv/installed ## execute what is not fresh under PROFILE, build book/_build/html
+book: .venv/installed ## execute what is not fresh under PROFILE (laptop: the edition), build book/_build/html
 	$(BIN)/inflate book --profile $(PROFILE) --jobs $(JOBS)
 
 pdf: book ## the same as one PDF file, printed by Chromium: book/_build/pdf/book.pdf

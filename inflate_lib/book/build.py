@@ -1,5 +1,6 @@
 """Build the book from executed notebooks, and from nothing else."""
 
+import json
 import os
 import re
 import shutil
@@ -12,28 +13,47 @@ import yaml
 from rich.console import Console
 
 from inflate_lib import paths
+from inflate_lib._cache import digest
+from inflate_lib._provenance import code_state
 from inflate_lib.book._execution import strip_colour
 from inflate_lib.book.run import RunError, find_notebooks, plan
 
+SECONDS = 60.0  # what the pages take, roughly
 _COMPLAINT = re.compile(r"\b(WARNING|ERROR|CRITICAL|SEVERE)\b")  # as Sphinx marks them
 
 
 def build_book(profile_name: str, console: Console | None = None) -> Path:
-    """Build ``book/_build/html`` with warnings as errors, after a check that every page is fresh under this profile."""
+    """Build ``book/_build/html`` with warnings as errors, after a check that every page is fresh under this profile.
+
+    Where nothing has changed since the last time, that book is left as it is.
+    """
     console = console or Console()
     check_book(profile_name)
     if warned := [line for job in plan(profile_name) for line in _warnings_in(job.executed)]:
         console.print("On stderr, left out of the book:", *warned, sep="\n", markup=False, highlight=False)
     build = paths.BOOK / "_build"
-    whole = build / "complete"  # without this mark an earlier build broke off, and Sphinx would keep its pages
-    if not whole.is_file():
-        for folder in ("html", ".doctrees", ".jupyter_cache"):
-            shutil.rmtree(build / folder, ignore_errors=True)
-    whole.unlink(missing_ok=True)
-    page = run_jupyter_book("html")
-    whole.write_text(profile_name + "\n")
+    whole, made_of = build / "complete", _made_of(profile_name)  # without it an earlier build broke off
+    page = build / "html" / "index.html"
+    before = whole.read_text() if whole.is_file() else None
+    if before != made_of or not page.is_file():
+        if before is None:  # Sphinx would keep the pages
+            for folder in ("html", ".doctrees", ".jupyter_cache"):
+                shutil.rmtree(build / folder, ignore_errors=True)
+        whole.unlink(missing_ok=True)
+        page = run_jupyter_book("html")
+        whole.write_text(made_of)
     console.print(f"The book: {page}", highlight=False, soft_wrap=True)
     return page
+
+
+def _made_of(profile_name: str) -> str:
+    """The digest of all that pages are made of: files of the repository, executed notebooks, the profile's figures."""
+    folders = paths.BOOK, paths.ROOT / "inflate_lib", paths.DATA, paths.FIGURES / profile_name
+    skipped = paths.BOOK / "_build", paths.CACHE
+    files = [*paths.ROOT.glob("*.md"), *(path for folder in folders for path in folder.rglob("*.*"))]
+    files = [path for path in sorted(files) if path.is_file() and "__pycache__" not in path.parts]
+    files = [path for path in files if not any(map(path.is_relative_to, skipped))]
+    return digest(json.dumps(code_state()), *(part for path in files for part in (str(path), path)))
 
 
 def run_jupyter_book(builder: str) -> Path:

@@ -11,8 +11,8 @@ import shutil
 from inflate_lib import paths
 from inflate_lib._files import draft
 from inflate_lib.book.run import RunError, plan
+from inflate_lib.models.recipe import EDITION
 
-PROFILE = "laptop"
 _KEPT = (".png", ".csv")  # an SVG is mostly larger than its PNG, and every run makes it
 
 
@@ -27,7 +27,7 @@ def publish_edition() -> None:
         A notebook is not fresh, or a record comes from the embedded digits or from code that was not committed.
         Nothing is changed then.
     """
-    run, jobs = paths.FIGURES / PROFILE, plan(PROFILE)
+    run, jobs = paths.FIGURES / EDITION, plan(EDITION)
     problems = [f"{job.name}: {why}" for job in jobs if (why := job.stale())]
     notes = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(run.glob("*.json"))]
     notes = [note for note in notes if note["notebook"] in {job.name for job in jobs}]

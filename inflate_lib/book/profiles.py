@@ -5,6 +5,8 @@ A profile is a file ``notebooks/profiles/<name>.yml``::
     name: ci
     description: minutes on two cores
     recipe: {…}              # see inflate_lib.models.recipe; a notebook asks for it by the profile's name
+    budget:                  # seconds that a notebook may take beside another one; 60 where nothing is said
+      08_dataset: 45
     common:                  # given to every notebook that declares the parameter
       n_per_target: 50
     notebooks:
@@ -17,7 +19,7 @@ something in the recipe change it.
 
 import ast
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from inflate_lib._yaml import hint
 from inflate_lib.descriptors import DESCRIPTORS
 from inflate_lib.models.recipe import Recipe, read_profile
+
+BUDGET = 60.0  # seconds: what takes longer is made cheap, or computed once by a script in benchmarks/
 
 
 class ProfileError(ValueError):
@@ -41,6 +45,7 @@ class Profile(BaseModel):
     name: str = Field(pattern=r"^[a-z][a-z0-9_-]*$")
     description: str = ""
     recipe: dict[str, Any]
+    budget: dict[str, float] | None = None
     common: dict[str, Any] = {}
     notebooks: dict[str, dict[str, Any]] = {}
 
@@ -60,6 +65,10 @@ class Profile(BaseModel):
     @classmethod
     def _empty_section(cls, value: Any) -> Any:
         return {k: {} if v is None else v for k, v in value.items()} if isinstance(value, dict) else value
+
+    def budgets(self, notebooks: Iterable[Path]) -> dict[str, float]:
+        """Seconds that each notebook may take; empty where the profile has no budget."""
+        return {path.stem: self.budget.get(path.stem, BUDGET) for path in notebooks} if self.budget is not None else {}
 
     def recipe_of(self, notebook: Path) -> Recipe:
         """The recipe as the parameters of a notebook change it."""
@@ -115,6 +124,9 @@ def check_profile(profile: Profile, notebooks: list[Path]) -> None:
             problems.append(f"common.{name}: no notebook declares this parameter")
         found = (_mismatch(f"common.{name}", value, default) for default in users)
         problems += dict.fromkeys(filter(None, found))
+    for notebook in profile.budget or ():
+        if notebook not in declared:
+            problems.append(f"budget.{notebook}: there is no such notebook; there are: {', '.join(declared)}")
     for notebook, section in profile.notebooks.items():
         if notebook not in declared:
             problems.append(f"notebooks.{notebook}: there is no such notebook; there are: {', '.join(declared)}")

@@ -20,6 +20,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import jupytext
 import nbformat
 from filelock import FileLock, Timeout
 from rich.console import Console
@@ -27,7 +28,7 @@ from rich.table import Table
 
 from inflate_lib import paths
 from inflate_lib._cache import digest, step_version
-from inflate_lib._progress import Bars, Display, Lines
+from inflate_lib._progress import Bars, Display, Lines, Schedule
 from inflate_lib._provenance import package_versions
 from inflate_lib.book._execution import Kernels, execute
 from inflate_lib.book.profiles import Profile, check_profile, load_profile
@@ -38,6 +39,7 @@ from inflate_lib.structures.sources import CHOSEN, resolve_source
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 #: loky replaces a worker that has grown by 300 MB, as one that trains a second model may, and says so with a warning.
 _RESTARTED = "ignore:A worker stopped while some jobs were given to the executor:UserWarning"
+_FOLDED = {"parameters", "hide-input", "hide-cell", "remove-input", "remove-cell"}  # tags of code that is not read
 _DATA = {"mnist": "MNIST", "digits": "the embedded digits"}
 
 
@@ -132,12 +134,26 @@ def find_notebooks() -> list[Path]:
     return notebooks
 
 
+def reading_minutes(notebook: Path) -> int:
+    """Minutes that a notebook asks of its reader: 200 words of prose in one, and three seconds for a line of code."""
+    cells = jupytext.read(notebook).cells
+    words = sum(len(cell.source.split()) for cell in cells if cell.cell_type == "markdown")
+    code = [cell for cell in cells if cell.cell_type == "code" and not _FOLDED & set(cell.metadata.get("tags", []))]
+    return round(words / 200 + sum(len(cell.source.splitlines()) for cell in code) / 20)
+
+
 def reproduce(
-    profile_name: str, only: Sequence[str] = (), jobs: int = 2, force: bool = False, console: Console | None = None
+    profile_name: str,
+    only: Sequence[str] = (),
+    jobs: int = 2,
+    force: bool = False,
+    console: Console | None = None,
+    then: float = 0.0,
 ) -> None:
     """Execute every notebook of the profile that is not fresh, several side by side.
 
     The old version of a notebook that has to run is deleted first, so that a failed run leaves nothing stale behind.
+    `then` is how many seconds the caller goes on for afterwards: a part of the time left that is shown.
 
     Raises
     ------
@@ -161,8 +177,11 @@ def reproduce(
                 old.unlink()
         for job in work:
             console.print(f"{job.name}: {reasons[job.name] or 'fresh'}", highlight=False)
-        seconds = _run(todo, min(jobs, max(1, len(todo))), console)
-    _print_timings(console, profile_name, work, seconds)
+        jobs = min(jobs, max(1, len(todo)))
+        budgets = load_profile(profile_name).budgets(job.source for job in work)
+        schedule = Schedule({job.name: budgets[job.name] for job in todo if budgets}, jobs, then)
+        seconds = _run(todo, jobs, console, schedule)
+    _print_timings(console, profile_name, work, seconds, budgets)
 
 
 def _job(profile: Profile, notebook: Path, shared: dict[str, Any]) -> _Job:
@@ -229,13 +248,13 @@ def _named(notebooks: Sequence[Path]) -> str:
     return " and ".join(repr(notebook.stem) for notebook in notebooks)
 
 
-def _run(todo: list[_Job], jobs: int, console: Console) -> dict[str, float]:
+def _run(todo: list[_Job], jobs: int, console: Console, schedule: Schedule) -> dict[str, float]:
     """Execute the jobs; seconds by name. The first failure, Ctrl-C or a kill ends all that still run."""
     threads = str(max(1, (os.cpu_count() or 1) // jobs))
     environment = {name: os.environ.get(name, threads) for name in _THREADS}
     environment |= {"INFLATE_HOME": str(paths.ROOT), "INFLATE_CACHE": str(paths.CACHE), "PYTHONHASHSEED": "0"}
     environment["PYTHONWARNINGS"] = ",".join(filter(None, [os.environ.get("PYTHONWARNINGS"), _RESTARTED]))
-    display = Bars(console) if console.is_terminal else Lines(console)
+    display = Bars(console, schedule) if console.is_terminal else Lines(console, schedule)
     seconds = {}
     with _kill_is_ctrl_c(), display, Kernels(environment) as kernels, ThreadPoolExecutor(jobs) as pool:
         futures = [pool.submit(_timed, job, kernels, display) for job in todo]
@@ -305,10 +324,16 @@ def _kill_is_ctrl_c():
         signal.signal(signal.SIGTERM, before)
 
 
-def _print_timings(console: Console, profile: str, work: list[_Job], seconds: dict[str, float]) -> None:
+def _print_timings(
+    console: Console, profile: str, work: list[_Job], seconds: dict[str, float], budgets: dict[str, float]
+) -> None:
     table = Table(title=f"Profile {profile}")
     table.add_column("notebook")
-    table.add_column("seconds", justify="right")
+    table.add_column("minutes to read", justify="right")
+    table.add_column("seconds to run", justify="right")
+    table.add_column("budget", justify="right")
     for job in work:
-        table.add_row(job.name, f"{seconds[job.name]:.1f}" if job.name in seconds else "fresh")
+        took, budget = seconds.get(job.name), budgets.get(job.name)
+        ran = "fresh" if took is None else f"{took:.1f}" + " (over budget)" * (took > (budget or took))
+        table.add_row(job.name, str(reading_minutes(job.source)), ran, f"{budget:.0f}" if budget else "")
     console.print(table)

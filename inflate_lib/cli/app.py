@@ -24,7 +24,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-ProfileName = Annotated[str, typer.Option(help="A file in notebooks/profiles, without .yml: ci, laptop, paper.")]
+ProfileName = Annotated[str, typer.Option(help="A file in notebooks/profiles, without .yml: laptop, ci, paper.")]
 Jobs = Annotated[int, typer.Option(help="Notebooks side by side.")]
 Force = Annotated[bool, typer.Option("--force", help="Execute fresh notebooks too.")]
 Source = Annotated[str, typer.Option(help="What 'auto' means in the profile: auto, mnist or digits.")]

@@ -7,19 +7,19 @@ from inflate_lib.paths import need_checkout
 
 @app.command()
 def book(
-    profile: ProfileName = "ci",
+    profile: ProfileName = "laptop",
     jobs: Jobs = 2,
     force: Force = False,
     retrain: Retrain = False,
     source: Source = "auto",
 ) -> None:
-    """Execute what is not fresh, then build the book with warnings as errors."""
+    """Execute what is not fresh, then build the book with warnings as errors; by default its edition, laptop."""
     need_checkout("inflate book")
-    from inflate_lib.book.build import build_book
+    from inflate_lib.book.build import SECONDS, build_book
     from inflate_lib.book.run import reproduce
 
     tell_notebooks(retrain, source)
-    reproduce(profile, (), jobs, force)
+    reproduce(profile, (), jobs, force, then=SECONDS)
     build_book(profile)
 
 

@@ -11,7 +11,7 @@ from inflate_lib.paths import need_checkout
 
 @app.command()
 def reproduce(
-    profile: ProfileName = "ci",
+    profile: ProfileName = "laptop",
     only: Annotated[list[str] | None, typer.Option(help="One notebook, by name or number; may be repeated.")] = None,
     jobs: Jobs = 2,
     force: Force = False,
@@ -21,13 +21,14 @@ def reproduce(
         bool, typer.Option("--publish", help="Then replace figures/laptop, the edition that git keeps.")
     ] = False,
 ) -> None:
-    """Execute the notebooks under a profile; their figures and tables go to figures/runs/<profile>."""
+    """Execute the notebooks under a profile, by default the edition's; figures go to figures/runs/<profile>."""
     need_checkout("inflate reproduce")
-    from inflate_lib.book.edition import PROFILE, publish_edition
+    from inflate_lib.book.edition import publish_edition
     from inflate_lib.book.run import reproduce
+    from inflate_lib.models.recipe import EDITION
 
-    if publish and (profile != PROFILE or only):
-        raise ValueError(f"--publish is for a run of all notebooks under the profile {PROFILE}")
+    if publish and (profile != EDITION or only):
+        raise ValueError(f"--publish is for a run of all notebooks under the profile {EDITION}")
     tell_notebooks(retrain, source)
     reproduce(profile, only or (), jobs, force)
     if publish:

@@ -29,8 +29,8 @@ from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
 if TYPE_CHECKING:
     from inflate_lib.diffusion import TrainingConfig
 
-_INTERACTIVE = "interactive"  # profile of a notebook that was opened by hand
-_ITS_RECIPE = "ci"  # the profile whose recipe it has
+EDITION = "laptop"  # the profile of the published book, whose recipe a notebook that was opened by hand has
+_INTERACTIVE = "interactive"  # the profile of such a notebook
 #: What is checked of each option of sampling; `generate` itself checks the rest.
 _SAMPLING = {
     "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
@@ -137,14 +137,14 @@ class Recipe:
 
 
 def load_recipe(profile: str = _INTERACTIVE, folder: Path | None = None) -> Recipe:
-    """The recipe of a profile, by its name; that of a notebook opened by hand is that of the profile ``ci``.
+    """The recipe of a profile, by its name; that of a notebook opened by hand is the edition's.
 
     Raises
     ------
     ValueError
         There is no such profile, with those that there are; or its recipe is none. The message names the file.
     """
-    content, path = read_profile(_ITS_RECIPE if profile == _INTERACTIVE else profile, folder)
+    content, path = read_profile(EDITION if profile == _INTERACTIVE else profile, folder)
     try:
         return Recipe.from_dict(content.get("recipe") if isinstance(content, Mapping) else content)
     except ValueError as error:

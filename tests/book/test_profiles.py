@@ -11,7 +11,7 @@ from inflate_lib.book.profiles import ProfileError, check_profile, declared_para
 from inflate_lib.book.run import find_notebooks
 from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
 from inflate_lib.diffusion import TrainingConfig
-from inflate_lib.models.recipe import load_recipe
+from inflate_lib.models.recipe import EDITION, load_recipe
 
 CELL = "# T\n\n```{{code-cell}} ipython3\n:tags: [parameters]\n\n{}\n```\n"
 RECIPE = {"source": "digits", "seed": 0, "n_structures": None, "n_augmented": 50, "n_calibration": 0}
@@ -70,6 +70,7 @@ def test_parameters_are_defaults_then_common_then_section(notebooks, tmp_path):
         ("notebooks: {01_first: {options: 3}}", r"options: 3 is int"),
         ("notebooks: {01_first: {profile: x}}", r"the runner sets this one itself"),
         ("common: {profile: x}", r"common\.profile: the runner sets this one itself"),
+        ("budget: {03_third: 60}", r"budget\.03_third: there is no such notebook"),
     ],
 )
 def test_a_value_that_does_not_fit_is_named(notebooks, tmp_path, text, message):
@@ -87,6 +88,7 @@ def test_all_problems_are_listed_at_once(notebooks, tmp_path):
     [
         ("colour: red", "colour: Extra inputs"),
         ("common: [1, 2]", "common: .*dictionary"),
+        ("budget: {01_first: long}", "budget.01_first: .*number"),
         ("notebooks: {01_first: 3}", "01_first: .*dictionary"),
         ("common: {seed: 1, seed: 2}", "'seed' is given twice"),
         ("common: {", "not valid YAML"),
@@ -137,12 +139,12 @@ def test_the_profiles_of_this_repository_fit_its_notebooks(name):
 
 
 @pytest.mark.parametrize("path", sorted(paths.NOTEBOOKS.glob("[0-9][0-9]_*.md")), ids=lambda path: path.stem)
-def test_notebook_defaults_are_the_ci_profile(path):
+def test_notebook_defaults_are_the_edition(path):
     declared = declared_parameters(path)
     assert declared.pop("profile") == "interactive"
     assert declared.pop("source") is None and declared.pop("seed", None) is None  # as the recipe says
-    used = load_profile("ci").parameters(path)
-    assert used.pop("profile") == "ci"
+    used = load_profile(EDITION).parameters(path)
+    assert used.pop("profile") == EDITION
     assert used == declared | {name: None for name in ("source", "seed") if name in used}
 
 

@@ -17,7 +17,7 @@ PLAIN = {
 
 
 def test_a_notebook_opened_by_hand_has_the_recipe_of_a_profile():
-    assert load_recipe("interactive") == load_recipe() == load_recipe("ci")
+    assert load_recipe("interactive") == load_recipe() == load_recipe("laptop")
     assert load_recipe("paper").source == "mnist"
 
 
