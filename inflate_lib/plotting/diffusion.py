@@ -152,6 +152,22 @@ def plot_answers(answers: Mapping[str, tuple]):
     return fig
 
 
+def plot_calibrated_guidance(wanted, panels: Mapping[str, Mapping[str, np.ndarray]]):
+    """Mean and standard deviation, (2, n), of what was drawn for each of ``wanted`` (n,), a panel for each telling."""
+    fig, axes = figure(1, len(panels), height=6.2, sharex=True, sharey=True)
+    for ax, (title, curves) in zip(axes, panels.items(), strict=True):
+        ax.plot(wanted, wanted, ":", color=COLOURS.ink, label="drawn = wanted")
+        for (name, (mean, deviation)), style, colour in zip(
+            curves.items(), LINE_STYLES, (COLOURS.wall, COLOURS.target), strict=False
+        ):
+            ax.fill_between(wanted, mean - deviation, mean + deviation, color=colour, alpha=0.2, linewidth=0)
+            ax.plot(wanted, mean, style, color=colour, label=name)
+        ax.set(title=title, xlabel="wanted value")
+    axes[0].set(ylabel="drawn value")
+    axes[0].legend(loc="upper left")
+    return fig
+
+
 def plot_schematic():
     """Fig. 1: how the network is trained, and how it makes structures (drawn, not computed)."""
     fig, ax = figure(height=9.6)

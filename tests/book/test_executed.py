@@ -19,8 +19,12 @@ GOLDEN = {
     "02_reverse_process": {
         "added_last": (499.5, 1e-6),
         "added_middle": (0.0031174297, 1e-6),
+        "ancestral_mean": (0.2, 0.02),
+    },
+    "03_samplers": {
         "last_image_off": (202.9117, 1e-5),
         "guided_once": (0.5, 0.02),
+        "calibrated_scatter": (0.134, 0.1),
     },
     "09_training": {"n_parameters": (369721, 0)},
     "13_comparison": {"n_numbers": (39, 0)},
@@ -138,7 +142,7 @@ def test_notebook_finds_its_golden_numbers(name):
         assert found[key] == pytest.approx(value, rel=tolerance), key
 
 
-@pytest.mark.parametrize("name", ["01_forward_process", "02_reverse_process"])
+@pytest.mark.parametrize("name", ["01_forward_process", "02_reverse_process", "03_samplers"])
 def test_derivations_hold_to_rounding(name):
     found = recorded(paths.EXECUTED / f"{name}.ipynb")
     errors = {key: value for key, value in found.items() if key.endswith("_error")}
