@@ -3,7 +3,7 @@
     python benchmarks/ablation.py
 
 trains each variant of the profile's recipe (inflate_lib/alternatives/ablation.py) for some thousand steps, asks each
-for all held-out targets, and writes data/reference/ablation.csv, which the chapter "Alternatives" shows, and
+for all held-out targets, and writes data/reference/ablation.csv, which the chapter "Baselines and ablations" shows, and
 ablation.json beside it, which says where it comes from. Every run is kept in the cache: a script that was stopped goes
 on where it was.
 """

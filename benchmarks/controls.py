@@ -2,9 +2,9 @@
 
     python benchmarks/controls.py [--targets 8]
 
-asks a model for held-out targets in each way, and writes data/reference/controls.csv, which the chapter "Alternatives"
-shows, and controls.json beside it, which says where it comes from. Everything runs in one thread; seconds are those of
-the processor. Finished parts are kept in the cache: a script that was stopped goes on where it was.
+asks a model for held-out targets in each way, and writes data/reference/controls.csv, which the chapter "Sharper
+control" shows, and controls.json beside it, which says where it comes from. Everything runs in one thread; seconds are
+those of the processor. Finished parts are kept in the cache: a script that was stopped goes on where it was.
 """
 
 import argparse

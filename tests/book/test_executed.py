@@ -28,6 +28,8 @@ GOLDEN = {
     },
     "09_training": {"n_parameters": (369721, 0)},
     "13_comparison": {"n_numbers": (39, 0)},
+    "16_best_of_many": {"best_targets": (8, 0)},
+    "17_control": {"controls_goal": (0.1, 1e-12)},
     "19_verification": {
         "inner_radius": (0.7481541132, 1e-8),
         "tube_error_percent": (0.8167559, 1e-6),
