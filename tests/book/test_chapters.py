@@ -1,6 +1,7 @@
 """What the chapters and pages say about the library is so: the names that they mention are there."""
 
 import re
+from dataclasses import asdict
 from pkgutil import iter_modules, resolve_name
 
 import jupytext
@@ -10,6 +11,7 @@ import pytest
 import inflate_lib
 from inflate_lib import paths
 from inflate_lib.book.run import find_notebooks
+from inflate_lib.models.recipe import load_recipe
 
 CHAPTERS = find_notebooks()
 PAGES = sorted([*paths.BOOK.glob("**/*.md"), *paths.ROOT.glob("*.md"), *paths.ROOT.glob("*/README.md")])
@@ -75,6 +77,41 @@ def test_what_the_paper_leaves_to_future_work_has_a_row_each():
         assert here == "no" or "{doc}`" in how, f"{what}: no chapter is named"
         recorded = re.findall(r"\{glue:text\}`(\w+)", how)
         assert here != "done" or recorded or "23_extending" in how, f"{what}: no number is given"
+
+
+def departures():
+    """The rows of the table of departures from the paper, without the headings of its parts."""
+    text = (paths.NOTEBOOKS / "13_comparison.md").read_text(encoding="utf-8")
+    table = text.split(":name: tab-departures")[1].split("\n:::")[0]
+    head, _, *rows = [line.strip("| ").split(" | ") for line in table.splitlines() if line.startswith("|")]
+    assert head == ["paper", "here", "reason", "measured effect", "chapter"]
+    return [row for row in rows if not row[0].startswith("**")]
+
+
+def test_every_departure_has_a_reason_an_effect_and_a_chapter():
+    for row in departures():
+        assert len(row) == 5 and all(row), row
+        _, _, _, effect, chapter = row
+        named = re.findall(r"\{doc\}`(\w+)`", chapter)
+        assert named and all((paths.NOTEBOOKS / f"{name}.md").is_file() for name in named), row
+        said = "{glue:text}" in effect or "{numref}" in effect or "{doc}" in effect
+        assert said or effect.startswith(("not measured", "none")) or "below" in effect or "MOOSE" in effect, row
+
+
+def test_the_table_of_departures_misses_no_box_and_no_option_of_a_recipe():
+    chapters = "\n".join(row[4] for row in departures())
+    for chapter in CHAPTERS:
+        if "{admonition} Departure from the paper" in chapter.read_text(encoding="utf-8"):
+            assert chapter.stem == "13_comparison" or f"`{chapter.stem}`" in chapters, f"no row names {chapter.stem}"
+    here = "\n".join(row[1] for row in departures())
+    paper = asdict(load_recipe("paper"))
+    for profile in ("ci", "laptop"):
+        recipe = asdict(load_recipe(profile))
+        changed = {key for key in recipe if key not in ("source", "training", "sampling") and recipe[key] != paper[key]}
+        training = recipe["training"].items()
+        changed |= {key for key, value in training if value != paper["training"].get(key)}
+        changed |= {key for key in ("sampler", "guidance") if recipe["sampling"][key] != paper["sampling"][key]}
+        assert [key for key in sorted(changed) if f"`{key}`" not in here] == [], profile
 
 
 def test_bends_help_heights_and_areas_and_not_widths():
