@@ -68,6 +68,17 @@ def test_an_answer_that_bends_is_undone_better_than_by_a_line():
     assert np.abs(by_fit).max() < np.abs(by_line).max() / 2
 
 
+def test_answers_about_a_line_mostly_leave_it_straight():
+    """A bend that is scatter alone predicts nothing; now and then it does by luck."""
+    straight = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        asked = rng.standard_normal((300, 1))
+        fit = Calibration.fit(asked, 1.2 * asked + 0.5 * rng.standard_normal((300, 1)))
+        straight += np.allclose(np.diff(fit.bends[0, 1]), np.diff(fit.bends[0, 0]))
+    assert straight >= 10
+
+
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(40, 120), k=st.integers(1, 2))
 @settings(max_examples=20, deadline=None)
 def test_every_target_has_one_answer_also_far_outside(seed, n, k):
