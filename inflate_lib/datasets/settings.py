@@ -26,6 +26,7 @@ class _Setting:
 SETTINGS = (
     *(_Setting(threshold, pad, element) for element in ELEMENTS for threshold in _THRESHOLDS for pad in (True, False)),
     *(_Setting(threshold, True, element, 2) for element in WITH_POTENTIAL for threshold in _THRESHOLDS),
+    *(_Setting(pad=False, element=element, refine=2) for element in WITH_POTENTIAL),
     _Setting(element="stabilised", refine=2),
     *(_Setting(element=element, refine=4) for element in WITH_POTENTIAL),
 )
