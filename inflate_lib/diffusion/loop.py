@@ -17,7 +17,6 @@ from inflate_lib.diffusion import ranks, storage
 from inflate_lib.diffusion._logs import Log
 from inflate_lib.diffusion.randomness import random_generator
 
-_CHECKPOINT = "checkpoint.safetensors"
 _WARMUP = 50  # steps, of :func:`fit`
 _PIECES = 20  # of a run of :func:`fit`, each with a checkpoint and an entry of the history
 
@@ -45,6 +44,7 @@ class Loop:
     """
 
     parts: tuple[str, ...] = ("loss",)  # that a step returns; the history holds the averages of each
+    checkpoint = "checkpoint.safetensors"  # in the folder
 
     def __init__(
         self,
@@ -59,7 +59,7 @@ class Loop:
     ):
         self.net, self.total, self.batch_size, self.learning_rate = net, total, batch_size, learning_rate
         self.log_every, self.checkpoint_every = log_every, checkpoint_every
-        self.path, self.identity = None if folder is None else Path(folder) / _CHECKPOINT, identity
+        self.path, self.identity = None if folder is None else Path(folder) / self.checkpoint, identity
         self.parameters = list(net.parameters())
         self.device = self.parameters[0].device
         on_gpu = self.device.type == "cuda"

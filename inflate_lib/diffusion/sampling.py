@@ -91,7 +91,10 @@ def guided(net: Callable, x: Tensor, t: Tensor, conditions: Tensor, guidance: fl
     """Classifier-free guidance: u + w (c − u), c and u being the answers with and without the descriptor.
 
     w = 1 is plain conditional sampling (the paper's strength), w = 0 ignores the descriptor, w > 1 exaggerates it.
+    A network that is told w answers so by itself, at once.
     """
+    if getattr(net, "strength", None) is not None:
+        return net(x, t, conditions, guidance=torch.full((len(x),), float(guidance), device=x.device))
     if guidance == 1:
         return net(x, t, conditions)
     without = net(x, t, None)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,9 +85,14 @@ def train(
     threads_before = torch.get_num_threads()
     torch.set_num_threads(threads or threads_before)
     try:
-        run = _Run(images, conditions, config, folder)
+        run = _Run(images, conditions, replace(config, strongest=0), folder)
         run.run(progress, log)
-        return run.model()
+        model = run.model()
+        if config.strongest > 0:
+            from inflate_lib.diffusion.distillation import distil  # which itself needs the loop of this module
+
+            model = distil(model, images, conditions, config, folder, progress)
+        return model
     finally:
         torch.set_num_threads(threads_before)
 
@@ -232,12 +238,17 @@ class _Run(Loop):
         """Hybrid loss, its simple and its vlb part, summed over some rows of a batch."""
         x0 = _to_network(self.images[rows])
         x = process.add_noise(self.schedule, x0, t, noise)
-        target = process.training_target(self.schedule, x0, t, noise, self.config.objective)
+        t = t.to(self.device)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16):
-            prediction = self.predict(x, t.to(self.device), y, dropped)
-        error = process.squared_error(prediction.float(), target)
+            prediction, target = self.answer(x, t, y, dropped, x0, noise)
+        error = process.squared_error(prediction.float(), target.float())
         weighted = at(self.weights, t, error) * error, error, at(self.vlb_weights, t, error) * error
         return torch.stack([part.sum() for part in weighted])
+
+    def answer(self, x: Tensor, t: Tensor, y: Tensor, dropped: Tensor, x0: Tensor, noise: Tensor):
+        """What the network answers at x_t, and what it should."""
+        target = process.training_target(self.schedule, x0, t, noise, self.config.objective)
+        return self.predict(x, t, y, dropped), target
 
     def rate(self) -> float:
         rate = self.learning_rate * min(1, (self.step + 1) / max(1, self.config.warmup_steps))

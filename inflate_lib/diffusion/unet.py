@@ -103,6 +103,8 @@ class UNet(nn.Module):
         Groups of each normalisation (the largest common divisor with the channels where it does not divide).
     parts : sequence of int
         Lengths of the parts of y, in order, each of which may be withheld by NaN; empty: y is given or withheld whole.
+    told_guidance : bool
+        The strength of guidance is an input as well (:mod:`inflate_lib.diffusion.distillation`).
     """
 
     def __init__(
@@ -116,6 +118,7 @@ class UNet(nn.Module):
         attention: bool = False,
         groups: int = 8,
         parts: Sequence[int] = (),
+        told_guidance: bool = False,
     ) -> None:
         super().__init__()
         whole_number("n_conditions", n_conditions, 0)
@@ -136,6 +139,10 @@ class UNet(nn.Module):
         )
         # Stands in for ζ_d where the descriptor is withheld (classifier-free guidance): learned like a weight.
         self.null = nn.Parameter(torch.zeros(embedding))
+        self.strength = None
+        if told_guidance:
+            self.strength = nn.Sequential(nn.Linear(1, hidden), nn.SiLU(), nn.Linear(hidden, embedding))
+            _zero(self.strength[2])  # until it is trained, no strength makes a difference
 
         def block(inputs, outputs):
             return ResidualBlock(inputs, outputs, embedding, groups, conditioning == "scale-shift")
@@ -163,8 +170,13 @@ class UNet(nn.Module):
         """Number of trainable numbers."""
         return sum(p.numel() for p in self.parameters())
 
-    def context(self, t: Tensor, conditions: Tensor | None, dropped: Tensor | None = None) -> Tensor:
-        """ζ(y, t) = ζ_t + ζ_d, with the null vector for ζ_d where ``dropped`` (n,) is true or conditions is None."""
+    def context(
+        self, t: Tensor, conditions: Tensor | None, dropped: Tensor | None = None, guidance: Tensor | None = None
+    ) -> Tensor:
+        """ζ(y, t) = ζ_t + ζ_d, with the null vector for ζ_d where ``dropped`` (n,) is true or conditions is None.
+
+        A network that is told the strength w of guidance adds ζ_w.
+        """
         if conditions is None:
             described = self.null
         else:
@@ -176,9 +188,20 @@ class UNet(nn.Module):
             described = self.descriptor(conditions)
             if dropped is not None:
                 described = torch.where(dropped[:, None], self.null, described)
-        return sinusoidal_embedding(t, self.embedding) + described
+        context = sinusoidal_embedding(t, self.embedding) + described
+        if self.strength is not None:
+            w = torch.ones(len(t), device=t.device) if guidance is None else guidance
+            context = context + self.strength(w.log()[:, None])
+        return context
 
-    def forward(self, x: Tensor, t: Tensor, conditions: Tensor | None, dropped: Tensor | None = None) -> Tensor:
+    def forward(
+        self,
+        x: Tensor,
+        t: Tensor,
+        conditions: Tensor | None,
+        dropped: Tensor | None = None,
+        guidance: Tensor | None = None,
+    ) -> Tensor:
         """Predict noise (or velocity).
 
         Parameters
@@ -191,12 +214,14 @@ class UNet(nn.Module):
             Descriptors, min–max scaled to [0, 1], parts that are not asked for NaN; None withholds them all.
         dropped : Tensor of bool, shape (n,), optional
             Where true, this row's descriptor is withheld.
+        guidance : Tensor, shape (n,), optional
+            Strength w > 0, of a network that is told it; 1 by default.
 
         Returns
         -------
         Tensor, shape (n, 1, h, w)
         """
-        context = F.silu(self.context(t, conditions, dropped))
+        context = F.silu(self.context(t, conditions, dropped, guidance))
         h = self.stem(x.contiguous(memory_format=torch.channels_last))
         skips = []
         for i, block in enumerate(self.down_blocks):

@@ -16,7 +16,7 @@ import torch
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, process, storage, train
 from inflate_lib.diffusion._logs import Log
-from inflate_lib.diffusion.loop import _CHECKPOINT
+from inflate_lib.diffusion.loop import Loop
 from inflate_lib.diffusion.randomness import random_generator
 from inflate_lib.diffusion.training import _Run, choose_device, losses_in_time
 
@@ -128,14 +128,14 @@ def test_a_run_killed_again_and_again_ends_as_if_nothing_had_happened(tmp_path):
     for moment, preparation in DEATHS.items():
         ended = child(tmp_path, preparation)
         assert ended.returncode == -signal.SIGKILL, (moment, ended.stderr)
-        there = (tmp_path / _CHECKPOINT).exists()
-        reached.append(storage.read(tmp_path / _CHECKPOINT, "checkpoint")[1]["step"] if there else 0)
+        there = (tmp_path / Loop.checkpoint).exists()
+        reached.append(storage.read(tmp_path / Loop.checkpoint, "checkpoint")[1]["step"] if there else 0)
     assert reached == [0, 0, 0, 8, 16]  # the last checkpoint that was whole
     killed = train(*data(), config(learning_rate_decay="cosine"), tmp_path, progress=False, threads=1)
     whole = train(*data(), config(learning_rate_decay="cosine"), progress=False, threads=1)
     assert killed.history == whole.history  # to the last bit
     assert same(killed, whole)
-    assert os.listdir(tmp_path) == [_CHECKPOINT]  # nothing half-written is left
+    assert os.listdir(tmp_path) == [Loop.checkpoint]  # nothing half-written is left
 
 
 @pytest.mark.slow
@@ -153,9 +153,9 @@ die(_Run, 'advance', full)"""
     ended = child(tmp_path, limit)
     assert ended.returncode == 1
     assert f"File too large at {kept}" in ended.stderr.splitlines()[-1]
-    assert os.listdir(tmp_path) == [_CHECKPOINT] * (step > 0)
+    assert os.listdir(tmp_path) == [Loop.checkpoint] * (step > 0)
     if step:
-        assert storage.read(tmp_path / _CHECKPOINT, "checkpoint")[1]["step"] == step
+        assert storage.read(tmp_path / Loop.checkpoint, "checkpoint")[1]["step"] == step
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
@@ -179,7 +179,7 @@ def test_weights_that_are_lost_in_the_very_last_step_are_not_saved(tmp_path, mon
     monkeypatch.setattr(_Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
     with pytest.raises(FloatingPointError, match=r"weights are no longer finite after step 16"):
         train(*data(), config(), tmp_path, progress=False, threads=1)
-    assert storage.read(tmp_path / _CHECKPOINT, "checkpoint")[1]["step"] == 8
+    assert storage.read(tmp_path / Loop.checkpoint, "checkpoint")[1]["step"] == 8
 
 
 def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monkeypatch):
@@ -196,7 +196,7 @@ def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monk
     monkeypatch.setattr(_Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
     with pytest.raises(FloatingPointError, match=r"loss became nan between steps 12 and 15.*last good state"):
         train(*data(), config(), tmp_path, progress=False, threads=1)
-    tensors, content = storage.read(tmp_path / _CHECKPOINT, "checkpoint")
+    tensors, content = storage.read(tmp_path / Loop.checkpoint, "checkpoint")
     assert content["step"] == 8 and all(bool(torch.isfinite(v).all()) for v in tensors.values())
 
 
@@ -462,7 +462,7 @@ def test_two_processes_train_as_one_does(tmp_path, monkeypatch):
         for key, values in alone.history.items():
             np.testing.assert_allclose(results[0][0][key], values, rtol=1e-5)
         np.testing.assert_allclose(results[0][1], alone.net.out.weight.norm().item(), rtol=1e-4)
-    assert os.listdir(tmp_path / "first") == [_CHECKPOINT]
+    assert os.listdir(tmp_path / "first") == [Loop.checkpoint]
 
 
 # --- files ---------------------------------------------------------------------------------------------------------
@@ -580,7 +580,7 @@ def test_a_foreign_safetensors_file_is_refused(tmp_path):
 def test_a_checkpoint_is_not_a_model(tmp_path):
     train(*data(), config(), tmp_path, progress=False, threads=1)
     with pytest.raises(ValueError, match="not a model file"):
-        TrainedModel.load(tmp_path / _CHECKPOINT)
+        TrainedModel.load(tmp_path / Loop.checkpoint)
     with pytest.raises(FileNotFoundError, match=r"none\.safetensors"):
         TrainedModel.load(tmp_path / "none.safetensors")
 
