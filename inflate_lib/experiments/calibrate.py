@@ -59,9 +59,9 @@ def calibrate_weights(
 ) -> dict[str, Model]:
     """Measure how the models in a folder answer, and write what :func:`.weights.load_model` needs beside them.
 
-    Into the header of each file go the recipe's sampling and the calibrations for it, and ``reach.npz`` beside them
-    holds what the structures reach. The weights stay as they are. A joint model is calibrated for every combination of
-    height, width and area, and for the axis, stress and stretch alone, as far as it follows them.
+    Into the header of each file go the recipe's ways of sampling and the calibrations for each, and ``reach.npz``
+    beside them holds what the structures reach. The weights stay as they are. A joint model is calibrated for every
+    combination of height, width and area, and for the axis, stress and stretch alone, as far as it follows them.
 
     Parameters
     ----------
@@ -92,21 +92,37 @@ def calibrate_weights(
         trained = TrainedModel.load(file)
         if trained.metadata.get("data") != digest(data["image"].values, data["converged"].values):
             raise ValueError(f"{file} was trained on other data: {trained.metadata.get('structures')} structures")
-        model, found = Model(file.stem, trained, recipe.sampling), {}
-        joint = get_descriptor(file.stem).any_part
-        for asked in _combinations(file.stem) if joint else (file.stem,):
-            with suppress(ValueError) if joint else nullcontext():
-                if recipe.n_calibration:
-                    found[asked] = calibrate(model, data, recipe.n_calibration, recipe.seed, asked)
-        how = {"n": recipe.n_calibration, "seed": recipe.seed}
-        trained.metadata["sampling"] = dict(recipe.sampling)
-        trained.metadata["calibration"] = {asked: fit.as_dict() | how for asked, fit in found.items()}
+        model = Model(file.stem, trained, recipe.sampling)
+        found = _all_calibrations(model, data, recipe)
+        ways = {
+            name: (way, _all_calibrations(model.sampled(**way), data, recipe)) for name, way in recipe.ways().items()
+        }
+        trained.metadata |= _as_header(recipe, recipe.sampling, found)
+        trained.metadata["samplers"] = {name: _as_header(recipe, *way) for name, way in ways.items()}
         trained.save(file, half=True)
-        models[file.stem] = replace(model, calibrations=found)
+        models[file.stem] = replace(model, calibrations=found, samplers=ways)
     if not models:
         raise ValueError(f"{folder} holds no weights (*.safetensors); inflate train --out {folder} puts them there")
     save_reach(data, folder)
     return models
+
+
+def _all_calibrations(model, data, recipe):
+    """Those for everything that a model is calibrated for, as far as it follows; that of one descriptor must."""
+    joint, found = get_descriptor(model.name).any_part, {}
+    for asked in _combinations(model.name) if joint else (model.name,):
+        with suppress(ValueError) if joint else nullcontext():
+            if recipe.n_calibration:
+                found[asked] = calibrate(model, data, recipe.n_calibration, recipe.seed, asked)
+    return found
+
+
+def _as_header(recipe, sampling, calibrations):
+    how = {"n": recipe.n_calibration, "seed": recipe.seed}
+    return {
+        "sampling": dict(sampling),
+        "calibration": {asked: fit.as_dict() | how for asked, fit in calibrations.items()},
+    }
 
 
 def answers(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):

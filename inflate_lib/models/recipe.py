@@ -9,6 +9,7 @@ It is the section ``recipe`` of ``notebooks/profiles/<name>.yml``::
       n_augmented: 6265        # pairs of image and descriptor
       training: {…}            # options of inflate_lib.diffusion.TrainingConfig
       sampling: {…}            # options of inflate_lib.diffusion.generate
+      samplers: {quick: {…}}   # what differs for other purposes, by name; may be left out
       n_calibration: 200       # structures drawn to calibrate a model; 0: none
 
 Whoever needs to know how models are made, a notebook, a command or a test, asks for the recipe by the profile's name.
@@ -16,7 +17,7 @@ Whoever needs to know how models are made, a notebook, a command or a test, asks
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,9 +62,12 @@ class Recipe:
         of their own: ``{"area": 20000}``. They are checked where they are changed and by :meth:`config`, since that
         needs PyTorch.
     sampling : Mapping
-        Options of :func:`inflate_lib.diffusion.generate`: sampler, steps, eta, guidance.
+        Options of :func:`inflate_lib.diffusion.generate`: sampler, steps, eta, guidance. The experiments of the paper
+        are made with them.
     n_calibration : int
         Training structures that are asked for to calibrate a model; 0 for none.
+    samplers : Mapping
+        Other ways of sampling, by the name of their purpose: the options of ``sampling`` that they change.
     """
 
     source: str
@@ -73,20 +77,24 @@ class Recipe:
     training: Mapping[str, Any]
     sampling: Mapping[str, Any]
     n_calibration: int
+    samplers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self):
         choice("source", self.source, ("auto", "mnist", "digits"))
         for name, least in {"seed": 0, "n_structures": 1, "n_augmented": 1, "n_calibration": 0}.items():
             if name != "n_structures" or self.n_structures is not None:
                 whole_number(name, getattr(self, name), least)
-        for name in ("training", "sampling"):
+        for name in ("training", "sampling", "samplers"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} must be a mapping of options, not {getattr(self, name)!r}")
         if own := [name for name in ("seed", "parts") if name in self.training]:
             raise ValueError(f"training: {own[0]} follows from the recipe's seed and the descriptor; leave it out")
-        _check_names("sampling", self.sampling, _SAMPLING)
-        for name, value in self.sampling.items():
-            _SAMPLING[name](f"sampling.{name}", value)
+        for where, options in {"sampling": self.sampling, **self.samplers}.items():
+            if not isinstance(options, Mapping):
+                raise ValueError(f"samplers.{where} must be a mapping of options, not {options!r}")
+            _check_names(where, options, _SAMPLING)
+            for name, value in options.items():
+                _SAMPLING[name](f"{where}.{name}", value)
 
     @classmethod
     def from_dict(cls, values: Any) -> "Recipe":
@@ -95,7 +103,8 @@ class Recipe:
             raise ValueError(f"a recipe must be a mapping, not {values!r}")
         names = [field.name for field in fields(cls)]
         _check_names("recipe", values, names)
-        if missing := [name for name in names if name not in values]:
+        needed = [field.name for field in fields(cls) if field.default_factory is MISSING]
+        if missing := [name for name in needed if name not in values]:
             raise ValueError(f"recipe: {', '.join(missing)} missing")
         return cls(**values)
 
@@ -118,6 +127,10 @@ class Recipe:
         if recipe.training != self.training:
             recipe.config(DESCRIPTORS[0])
         return recipe
+
+    def ways(self) -> dict[str, dict[str, Any]]:
+        """Options of sampling for each purpose but the first, by its name."""
+        return {name: {**self.sampling, **changes} for name, changes in self.samplers.items()}
 
     def config(self, descriptor: str) -> "TrainingConfig":
         """The training configuration of one descriptor's model."""

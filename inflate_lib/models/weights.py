@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inflate_lib import paths
-from inflate_lib._checks import numbers, whole_number
+from inflate_lib._checks import choice, numbers, whole_number
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.descriptors.registry import columns, name_of
@@ -23,6 +23,9 @@ from inflate_lib.models.train import train_models, training_set
 
 if TYPE_CHECKING:
     import xarray as xr
+
+#: What structures are drawn for: the first is how a model comes, the others may have a way of sampling of their own.
+PURPOSES = ("faithful", "varied", "quick")
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class Model:
         Options of :func:`inflate_lib.diffusion.generate`: sampler, steps, eta, guidance.
     calibrations : Mapping
         Descriptor asked for → :class:`Calibration`, good for this sampling alone. What has none is told as it is.
+    samplers : Mapping
+        Purpose → the sampling and the calibrations for it, see :meth:`sampled_for`.
     reach : xarray.Dataset, optional
         Descriptors of the simulated structures, beyond which nothing is drawn (:mod:`inflate_lib.models.reach`).
     """
@@ -47,6 +52,7 @@ class Model:
     sampling: Mapping = field(default_factory=dict)
     calibrations: Mapping[str, Calibration] = field(default_factory=dict)
     reach: Any = None
+    samplers: Mapping[str, tuple[Mapping, Mapping]] = field(default_factory=dict)
 
     @property
     def takes(self) -> tuple[str, ...]:
@@ -104,6 +110,26 @@ class Model:
     def sampled(self, **changes: Any) -> "Model":
         """The same model with other options of sampling, for which it is not calibrated."""
         return replace(self, sampling={**self.sampling, **changes}, calibrations={})
+
+    def sampled_for(self, purpose: str) -> "Model":
+        """The same model, sampled and calibrated for a purpose; as it is where it was given no way for that one.
+
+        Parameters
+        ----------
+        purpose : {"faithful", "varied", "quick"}
+            As the experiments of the paper are made, which is how every model comes; with more steps, which draw more
+            various structures; or with few, for designs, which inflate and refine what is drawn.
+
+        Raises
+        ------
+        ValueError
+            There is no such purpose.
+        """
+        choice("purpose", purpose, PURPOSES)
+        if purpose not in self.samplers:
+            return self
+        sampling, calibrations = self.samplers[purpose]
+        return replace(self, sampling=sampling, calibrations=calibrations)
 
     def _vectors(self, targets):
         """Targets as vectors (m, N), by their names, in the order in which the model takes them."""
@@ -188,7 +214,12 @@ def load_model(name: str, profile: str = "laptop") -> Model:
         table = reach.reach_of(simulated_sevens(trained.metadata.get("source", "auto")))
     if "calibration" not in trained.metadata:
         warnings.warn(f"{there[name]} is not calibrated: `inflate card --profile {profile}` does it", stacklevel=2)
-    return Model(name, trained, trained.metadata.get("sampling", {}), _calibrations(trained), table)
+    about = trained.metadata
+    samplers = {
+        purpose: (way["sampling"], _calibrations(way["calibration"]))
+        for purpose, way in about.get("samplers", {}).items()
+    }
+    return Model(name, trained, about.get("sampling", {}), _calibrations(about.get("calibration", {})), table, samplers)
 
 
 def committed_weights(descriptor: str, recipe: Recipe, data: "xr.Dataset") -> tuple[Path | None, str]:
@@ -248,18 +279,29 @@ def trained_models(names: Sequence[str], recipe: Recipe, data: "xr.Dataset") -> 
     table = reach.reach_of(data)
     models = {name: TrainedModel.load(found[name]) for name in names}
     return {
-        name: Model(name, trained, recipe.sampling, _calibrations(trained, recipe), table)
+        name: Model(
+            name,
+            trained,
+            recipe.sampling,
+            _stored(trained.metadata, recipe.sampling, recipe),
+            table,
+            {
+                purpose: (way, _stored(trained.metadata.get("samplers", {}).get(purpose, {}), way, recipe))
+                for purpose, way in recipe.ways().items()
+            },
+        )
         for name, trained in models.items()
     }
 
 
-def _calibrations(trained, recipe=None):
+def _stored(about, sampling, recipe):
     """The calibrations in the header of weights, without those of another sampling, n or seed than a recipe's."""
-    stored = trained.metadata.get("calibration", {})
-    if recipe is not None:
-        wanted = {"n": recipe.n_calibration, "seed": recipe.seed}
-        fits = trained.metadata.get("sampling") == dict(recipe.sampling)
-        stored = {asked: one for asked, one in stored.items() if fits and wanted.items() <= one.items()}
+    wanted, fits = {"n": recipe.n_calibration, "seed": recipe.seed}, about.get("sampling") == dict(sampling)
+    stored = about.get("calibration", {}) if fits else {}
+    return _calibrations({asked: one for asked, one in stored.items() if wanted.items() <= one.items()})
+
+
+def _calibrations(stored):
     return {asked: Calibration.from_dict(values) for asked, values in stored.items()}
 
 
