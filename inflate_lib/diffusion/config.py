@@ -106,5 +106,5 @@ class TrainingConfig:
         """An untrained network; its weights follow from the seed."""
         widths = self.channels, self.embedding, self.hidden
         options = self.blocks, self.conditioning, self.attention
-        make = lambda: UNet(n_conditions, *widths, *options, parts=self.parts, told_guidance=self.strongest > 0)  # noqa: E731
-        return initialised(make, self.seed)
+        told = {"parts": self.parts, "told_guidance": self.strongest > 0}
+        return initialised(lambda: UNet(n_conditions, *widths, *options, **told), self.seed)

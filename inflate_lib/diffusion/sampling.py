@@ -177,7 +177,8 @@ def generate(
     eta : float
         Noise between 0 (deterministic) and 1 (as much as the exact posterior has); the ancestral sampler ignores it.
     guidance : float
-        w of u + w (c − u): 1 is plain conditional (paper), 0 unconditional.
+        w of u + w (c − u): 1 is plain conditional (paper), 0 unconditional. A model into which guidance was distilled
+        takes what it was trained for (``TrainingConfig.strongest``), and half as long.
     guided_from, guided_to : float
         Guide at times t/T between these two alone; elsewhere w = 1, which costs half (Kynkäänniemi et al. 2024).
     crowding : float
@@ -210,6 +211,11 @@ def generate(
     whole_number("start", start, 0)
     whole_number("steps", steps, 1)
     positive_number("crowding", crowding)
+    if model.config.strongest and not 1 <= guidance <= model.config.strongest:
+        raise ValueError(
+            f"guidance must be from 1 to {model.config.strongest:g}, which is what this model was told in training, "
+            f"not {guidance:g}"
+        )
     scaled = torch.from_numpy(model.scaled(_checked(model, conditions))).float()
     place = choose_device(device)
     net, size = model.net.to(place).eval(), model.image_size
