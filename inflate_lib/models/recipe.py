@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 EDITION = "laptop"  # the profile of the published book, whose recipe a notebook that was opened by hand has
 _INTERACTIVE = "interactive"  # the profile of such a notebook
+#: What structures are drawn for: ``sampling`` says how for the first, ``samplers`` may for the others.
+PURPOSES = ("faithful", "varied", "quick")
 #: What is checked of each option of sampling; `generate` itself checks the rest.
 _SAMPLING = {
     "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
@@ -89,6 +91,7 @@ class Recipe:
                 raise ValueError(f"{name} must be a mapping of options, not {getattr(self, name)!r}")
         if own := [name for name in ("seed", "parts") if name in self.training]:
             raise ValueError(f"training: {own[0]} follows from the recipe's seed and the descriptor; leave it out")
+        _check_names("samplers", self.samplers, PURPOSES[1:])
         for where, options in {"sampling": self.sampling, **self.samplers}.items():
             if not isinstance(options, Mapping):
                 raise ValueError(f"samplers.{where} must be a mapping of options, not {options!r}")

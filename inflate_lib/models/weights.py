@@ -18,14 +18,11 @@ from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.models import RETRAIN, reach
 from inflate_lib.models.calibration import Calibration
-from inflate_lib.models.recipe import Recipe
+from inflate_lib.models.recipe import PURPOSES, Recipe
 from inflate_lib.models.train import train_models, training_set
 
 if TYPE_CHECKING:
     import xarray as xr
-
-#: What structures are drawn for: the first is how a model comes, the others may have a way of sampling of their own.
-PURPOSES = ("faithful", "varied", "quick")
 
 
 @dataclass(frozen=True)

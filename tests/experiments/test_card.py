@@ -89,6 +89,27 @@ def test_stored_calibrations_are_used_and_nothing_is_drawn_again(folder, data, m
         assert not trained_models(["height"], other, data)["height"].calibrations
 
 
+def test_each_purpose_has_its_sampling_and_a_calibration_for_it(folder, data, monkeypatch):
+    """A model comes as the paper's experiments ask it; for another purpose it is told otherwise, and told apart."""
+
+    def fit(model, *_, **__):
+        return Calibration(np.array([0.9]), np.eye(1), np.array([0.0]), np.array([[1.0 + model.sampling["steps"]]]))
+
+    monkeypatch.setattr(calibrate, "calibrate", fit)
+    monkeypatch.setattr(paths, "PRETRAINED", folder.parent)
+    recipe = RECIPE.changed(n_calibration=4, samplers={"quick": {"steps": 1}})
+    calibrate_weights(folder, data, recipe, ["height"])
+    for model in (load_model("height", "tiny"), trained_models(["height"], recipe, data)["height"]):
+        quick = model.sampled_for("quick")
+        assert dict(model.sampling) == SAMPLING and dict(quick.sampling) == {**SAMPLING, "steps": 1}
+        assert model.calibrations["height"].slope == 3 and quick.calibrations["height"].slope == 2
+        assert model.sampled_for("faithful") is model and model.sampled_for("varied") is model
+        with pytest.raises(ValueError, match="purpose must be one of faithful, varied, quick, not 'fast'"):
+            model.sampled_for("fast")
+    other = trained_models(["height"], recipe.changed(samplers={"quick": {"steps": 3}}), data)["height"]
+    assert other.calibrations and not other.sampled_for("quick").calibrations
+
+
 def test_weights_without_a_calibration_say_what_to_do(folder, data, monkeypatch):
     monkeypatch.setattr(paths, "PRETRAINED", folder.parent)
     with pytest.warns(UserWarning, match="not calibrated: `inflate card --profile tiny`"):

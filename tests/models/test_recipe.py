@@ -31,6 +31,11 @@ def test_a_change_replaces_what_it_names_and_nothing_else():
     assert recipe.changed(training='{"steps": 9}') == recipe.changed(training={"steps": 9})
 
 
+def test_another_purpose_changes_what_it_names():
+    recipe = Recipe.from_dict(PLAIN | {"samplers": {"quick": {"steps": 1}}})
+    assert recipe.ways() == {"quick": {"sampler": "ddim", "steps": 1}} and Recipe.from_dict(PLAIN).ways() == {}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -46,6 +51,9 @@ def test_a_change_replaces_what_it_names_and_nothing_else():
         ({"sampling": {"guidence": 1.0}}, "sampling: unknown guidence; there are: sampler, steps, eta, guidance"),
         ({"sampling": {"guidance": "1e-3"}}, r"sampling\.guidance must be a finite number.*write 1\.0e-3"),
         ({"sampling": {"sampler": "fast"}}, r"sampling\.sampler must be one of ancestral, ddim"),
+        ({"samplers": {"quick": 5}}, "samplers.quick must be a mapping of options, not 5"),
+        ({"samplers": {"quick": {"stps": 5}}}, "quick: unknown stps; there are: sampler, steps"),
+        ({"samplers": {"slow": {}}}, "samplers: unknown slow; there are: varied, quick"),
         ({"sampling": {"steps": 0}}, r"sampling\.steps must be a whole number of at least 1"),
         ({"source": "letters"}, "source must be one of auto, mnist, digits"),
         ({"seed": 1.5}, "seed must be a whole number"),

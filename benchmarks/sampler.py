@@ -1,0 +1,144 @@
+"""Accuracy, variety and novelty of what a model draws, against what it costs: one way of sampling beside another.
+
+    python benchmarks/sampler.py --weights laptop/teachers               the models as they were trained
+    python benchmarks/sampler.py --students                              those into which guidance was distilled
+
+The first writes data/reference/sampler.csv, the second sampler_students.csv, which the chapter "Training" shows, each
+with a note beside it that says where it comes from. Every drawing is kept in the cache: a script that was stopped goes
+on where it was.
+
+Each way is calibrated by itself and judged on all held-out targets in range, one drawing each. Variety is the mean
+distance of a hundred drawings for one target, as a share of that of as many real structures nearest to the target;
+novelty the median distance to the nearest training structure, as a share of that of held-out real structures; both are
+means over three targets, at a fifth, a half and four fifths of the training structures (by size, for a line).
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from stored import seconds, store
+
+from inflate_lib._cache import step_version
+from inflate_lib.alternatives.ablation import evaluate_variant
+from inflate_lib.datasets.simulate import simulated_sevens
+from inflate_lib.datasets.split import training_rows
+from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
+from inflate_lib.diffusion import generate
+from inflate_lib.experiments.calibrate import calibrate
+from inflate_lib.experiments.run import held_out_targets, run_experiment
+from inflate_lib.experiments.variety import diversity, novelty
+from inflate_lib.models.recipe import load_recipe
+from inflate_lib.models.weights import load_model
+
+EIGHT, SECOND = {"steps": 8}, {"sampler": "dpm-solver++"}
+WAYS = {f"{steps} steps": {"steps": steps} for steps in (25, 16, 8, 6, 4)}
+WAYS |= {
+    "w = 5": EIGHT | {"guidance": 5.0},
+    "second order": EIGHT | SECOND,
+    "second order, w = 5": EIGHT | SECOND | {"guidance": 5.0},
+    "second order, w = 5, 12 steps": SECOND | {"steps": 12, "guidance": 5.0},
+    "second order, w = 5, 5 steps": SECOND | {"steps": 5, "guidance": 5.0},
+}
+MAIN = tuple(WAYS)
+WAYS |= {
+    "10 steps": {"steps": 10},
+    "5 steps": {"steps": 5},
+    "η = 0": EIGHT | {"eta": 0.0},
+    "η = 0.5": EIGHT | {"eta": 0.5},
+    "w = 1": EIGHT | {"guidance": 1.0},
+    "w = 2": EIGHT | {"guidance": 2.0},
+    "w = 8": EIGHT | {"guidance": 8.0},
+    "w = 5, 4 steps": {"steps": 4, "guidance": 5.0},
+    "guided for t/T in 0.2–0.9": EIGHT | {"guided_from": 0.2, "guided_to": 0.9},
+    "guided for t/T in 0.4–1": EIGHT | {"guided_from": 0.4},
+    "crowded near the noise": EIGHT | {"crowding": 0.7},
+    "crowded near the image": EIGHT | {"crowding": 1.5},
+    "second order, η = 0": EIGHT | SECOND | {"eta": 0.0},
+    "second order, η = 0, w = 2, 16 steps": SECOND | {"steps": 16, "eta": 0.0, "guidance": 2.0},
+}
+STUDENTS = {
+    f"second order, w = {w}, {steps} steps": SECOND | {"steps": steps, "guidance": float(w)}
+    for steps, w in ((16, 5), (12, 5), (8, 5), (5, 5), (12, 8), (8, 8), (5, 8))
+}
+ALIKE = 100  # drawings for one target
+TIMED = 32  # structures drawn to time a way
+
+
+def options():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--profile", default="laptop", help="whose recipe is followed")
+    parser.add_argument("--weights", default="laptop", help="folder of data/pretrained with the models that are asked")
+    parser.add_argument("--students", action="store_true", help="in the few ways that suit models told their guidance")
+    parser.add_argument("--descriptors", nargs="+", default=list(DESCRIPTORS), choices=DESCRIPTORS)
+    parser.add_argument("--thorough", nargs="*", default=["height", "axis"], help="asked in every way, the rest in few")
+    parser.add_argument("--targets", type=int, help="held-out targets (default: all in range)")
+    parser.add_argument("--source", default="mnist")
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args()
+
+
+def evaluations(model, target):
+    """How often the network is asked for one structure."""
+    asked = []
+    hook = model.trained.net.register_forward_hook(lambda *_: asked.append(1))
+    draw(model, target[None])
+    hook.remove()
+    return len(asked)
+
+
+def three_targets(data, descriptor):
+    """Real descriptors at a fifth, a half and four fifths of the training structures, along their main direction."""
+    known = descriptor_matrix(data, descriptor)[training_rows(data)]
+    score = (known - known.mean(axis=0)) @ np.linalg.svd(known - known.mean(axis=0), full_matrices=False)[2][0]
+    order = np.argsort(score * np.sign(score[known[:, -1].argmax()]))
+    return known[order[[len(order) // 5, len(order) // 2, 4 * len(order) // 5]]]
+
+
+def main():
+    given, started, rows = options(), time.monotonic(), []
+    recipe, data = load_recipe(given.profile), simulated_sevens(given.source)
+    known = training_rows(data)
+    unseen = np.setdiff1d(np.flatnonzero(data["converged"].values), known)
+    yardstick = np.median(novelty(data["image"].values[unseen], data, known)[0])
+    for descriptor in given.descriptors:
+        model = load_model(descriptor, given.weights).sampled(**WAYS["25 steps"], sampler="ddim", eta=1.0, guidance=3.0)
+        targets, _ = held_out_targets(data, descriptor, model, given.targets, given.seed)
+        for name in STUDENTS if given.students else WAYS if descriptor in given.thorough else MAIN:
+            way = model.sampled(**(STUDENTS if given.students else WAYS)[name])
+            row = {"descriptor": descriptor, "way": name, "evaluations": evaluations(way, targets[0])}
+            row |= evaluate_variant(way, data, targets, given.seed, recipe.n_calibration, n_jobs=1)
+            row["unit"] = get_descriptor(descriptor).error.unit
+            fit = calibrate(way, data, recipe.n_calibration, given.seed, n_jobs=1)
+            three = three_targets(data, descriptor)
+            told = replace(way, calibrations={descriptor: fit})
+            alike = run_experiment(told, three, ALIKE, given.seed + 1, n_jobs=1, extrapolate=True)
+            row["variety"] = diversity(alike, descriptor, data, n_resamples=10)["ratio"].mean()
+            far = novelty(alike["image"].values, data, known)[0].reshape(len(three), ALIKE)
+            row["novelty"] = np.median(far, axis=1).mean() / yardstick
+            some = {"targets": np.repeat(three, TIMED // len(three) + 1, axis=0)[:TIMED]}
+            spent, _ = seconds(lambda way=way, some=some: draw(way, some["targets"]))
+            rows.append(row | {"ms": 1000 * spent / TIMED})
+            print(f"{time.monotonic() - started:.0f} s: {rows[-1]}", flush=True)
+    store(
+        pd.DataFrame(rows),
+        "sampler_students" if given.students else "sampler",
+        "sampler.py",
+        data=f"{data.attrs['source']}, {data.sizes['structure']} structures",
+        weights=f"data/pretrained/{given.weights}",
+        unless_said="DDIM, η = 1, w = 3, 8 steps; second order: SDE-DPM-Solver++(2M)",
+        n_calibration=recipe.n_calibration,
+        novelty_of_held_out=float(yardstick),
+        learning_code=step_version("experiment"),
+    )
+
+
+def draw(model, targets):
+    """The drawing alone, to time it."""
+    return generate(model.trained, targets, seed=0, **model.sampling)
+
+
+if __name__ == "__main__":
+    main()
