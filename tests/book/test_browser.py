@@ -16,6 +16,7 @@ from inflate_lib.book.run import executed_under
 from inflate_lib.book.sphinx_ext import _EXPLORER
 
 pytestmark = pytest.mark.book
+PROFILE = (executed_under(paths.EXECUTED / "08_dataset.ipynb") or {}).get("profile")
 HTML = paths.BOOK / "_build" / "html"
 PAGES = sorted(str(path.relative_to(HTML)) for path in HTML.rglob("*.html") if "_static" not in path.parts)
 WIDTHS = {"phone": (390, 844), "desktop": (1280, 900)}
@@ -177,7 +178,7 @@ def test_every_page_says_which_run_it_comes_from(desktop):
         if name in ("genindex.html", "search.html", "py-modindex.html"):
             continue
         footer = page.locator(".extra_footer").inner_text()
-        assert re.search(r"profile ci · commit \w{7,10}.* · \d{4}-\d\d-\d\d", footer), name
+        assert re.search(rf"profile {PROFILE} · commit \w{{7,10}}.* · \d{{4}}-\d\d-\d\d", footer), name
         if stamp := executed_under(paths.EXECUTED / f"{name.removeprefix('notebooks/').removesuffix('.html')}.ipynb"):
             badge = page.locator(".profile-badge")
             assert badge.count() == 1 and badge.is_visible(), name
@@ -189,7 +190,7 @@ def test_every_page_says_which_run_it_comes_from(desktop):
 
 @pytest.fixture(scope="module")
 def data():
-    text = (paths.FIGURES / "ci" / f"{_EXPLORER}.js").read_text(encoding="utf-8")
+    text = (paths.FIGURES / PROFILE / f"{_EXPLORER}.js").read_text(encoding="utf-8")
     assert len(text) < 5e6
     return json.loads(text.split("=", 1)[1].rstrip(";\n"))
 
