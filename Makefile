@@ -26,7 +26,7 @@ reproduce: .venv/installed ## execute what is not fresh under PROFILE, without t
 figures: .venv/installed ## execute the profile laptop and publish its figures in figures/laptop, which git keeps
 	$(BIN)/inflate reproduce --profile laptop --jobs $(JOBS) --publish
 
-readme: .venv/installed ## write the quickstart and the results into README.md anew
+readme: .venv/installed ## write what README.md and the first page of the book take from other files anew
 	$(BIN)/python -m inflate_lib.book.readme
 
 test: .venv/installed-dev ## run the tests that need neither minutes nor an executed book

@@ -22,17 +22,20 @@ from sphinx.transforms import SphinxTransform
 
 from inflate_lib import paths
 from inflate_lib._provenance import code_state
-from inflate_lib.book.page import SOURCES
+from inflate_lib.book.page import SOURCES, recorded
 from inflate_lib.book.profiles import ProfileError, load_profile
 from inflate_lib.book.run import executed_under
 
-_HERO = "glance"  # published by notebooks/22_explorer.md
+_HERO_NOTEBOOK = "22_explorer"
+_HERO = "glance"  # published by it
 _EXPLORER = "explorer_data"  # likewise
 _HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
 _HERO_CAPTION = (
-    "The pipeline at a glance, once per row: a wanted height; noise that a network turns into an image; the structure "
-    "read from it, with wall and void; and that structure inflated, the wanted height dashed, the achieved one below."
+    "From a target to three different structures drawn for it, one in each row: the target height; noise that a network "
+    "turns into an image; the structure read from it, with wall and void; and that structure inflated, with the target "
+    "dashed and the achieved height below."
 )
+_HERO_ERROR = "{glance_n} structures were drawn for this height; their median error is {glance_error_percent:.1f} %."
 _TABLE = "tab-"  # how the name of a published table begins, for {numref}
 _MODEL_CARDS = "<!-- model cards -->"  # in a page: replaced by the README of each folder of weights
 _NO_WEIGHTS = "No weights are committed at the moment: the models are trained when a notebook first needs them."
@@ -135,7 +138,10 @@ def _configure(app, config):
     profile = stamps[0]["profile"] if stamps else "none"
     config.html_theme_options = {**config.html_theme_options, "extra_footer": footer(profile)}
     picture = Path(os.path.relpath(paths.FIGURES / profile / f"{_HERO}.png", paths.BOOK))
-    caption = f"{_HERO_CAPTION} Drawn from results of this book's run (profile {profile})."
+    notebook = paths.EXECUTED / f"{_HERO_NOTEBOOK}.ipynb"
+    measured = recorded(notebook) if notebook.is_file() else {}
+    error = "glance_n" in measured and _HERO_ERROR.format(**measured)
+    caption = f"{_HERO_CAPTION} {error or ''} Drawn from results of this book's run (profile {profile})."
     hero = f"```{{figure}} {picture.as_posix()}\n:alt: {_HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
     config.myst_substitutions = {**config.myst_substitutions, "hero": hero if (paths.BOOK / picture).is_file() else ""}
     data = paths.FIGURES / profile / f"{_EXPLORER}.js"
