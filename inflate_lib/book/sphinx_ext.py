@@ -31,9 +31,9 @@ _HERO = "glance"  # published by it
 _EXPLORER = "explorer_data"  # likewise
 _HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
 _HERO_CAPTION = (
-    "From a target to three different structures drawn for it, one in each row: the target height; noise that a network "
-    "turns into an image; the structure read from it, with wall and void; and that structure inflated, with the target "
-    "dashed and the achieved height below."
+    "From a target to three different structures drawn for it, one in each row: the target height; noise that a "
+    "network turns into an image; the structure read from it, with wall and void; and that structure inflated, with "
+    "the target dashed and the achieved height below."
 )
 _HERO_ERROR = "{glance_n} structures were drawn for this height; their median error is {glance_error_percent:.1f} %."
 _TABLE = "tab-"  # how the name of a published table begins, for {numref}

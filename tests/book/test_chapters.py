@@ -114,6 +114,18 @@ def test_the_table_of_departures_misses_no_box_and_no_option_of_a_recipe():
         assert [key for key in sorted(changed) if f"`{key}`" not in here] == [], profile
 
 
+def test_two_other_settings_fit_the_papers_table_1_as_well_as_the_default():
+    """As the chapter on verification says in words."""
+    table = pd.read_csv(paths.REFERENCE / "calibration.csv").set_index(["element", "refine", "threshold", "pad"])
+    as_well = table.index[table["change_low"] <= 0]
+    default, moose, fine = [("mean-dilatation", 1, 0.5, True), ("stabilised", 1, 0.5, True), ("q1", 4, 0.5, True)]
+    assert set(as_well) == {default, moose, fine}
+    assert abs(table.loc[moose, "change_percent"]) < 0.1
+    light, dark, finer = (table.loc[("mean-dilatation", *rest, True)] for rest in ((1, 0.4), (1, 0.6), (2, 0.5)))
+    assert light["width_low"] > table.loc[default, "width_percent"] and dark["area_high"] < 0
+    assert abs(finer["height_percent"]) < 0.2 and finer["width_low"] > table.loc[default, "width_percent"]
+
+
 def test_bends_help_heights_and_areas_and_not_widths():
     """As the chapter on accuracy says in words."""
     table = pd.read_csv(paths.REFERENCE / "tails.csv").set_index(["descriptor", "calibration", "part"]).sort_index()
