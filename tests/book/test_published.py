@@ -7,7 +7,7 @@ import pytest
 
 from inflate_lib import paths
 from inflate_lib._cache import digest
-from inflate_lib.book.edition import PROFILE
+from inflate_lib.models.recipe import EDITION
 
 SCALARS = ("height", "width", "box", "area")
 
@@ -35,7 +35,7 @@ def test_the_best_of_sixteen_is_close(name):
 def test_every_file_is_named_by_a_record_of_where_it_comes_from():
     named = {}
     for note in map(json.loads, (path.read_text(encoding="utf-8") for path in paths.EDITION.glob("*.json"))):
-        assert (note["profile"], note["data_source"] or "mnist") == (PROFILE, "mnist"), note["name"]
+        assert (note["profile"], note["data_source"] or "mnist") == (EDITION, "mnist"), note["name"]
         assert note["uncommitted_changes"] is False, note["name"]
         named |= note["files"]
     files = {path.name for path in paths.EDITION.iterdir() if path.suffix != ".json"}
