@@ -63,7 +63,7 @@ class Study:
         torch.set_num_threads(1)
         self.given, self.data = given, simulated_sevens(given.source)
         self.models = {
-            name: load_model(name, given.profile).sampled_for("quick")
+            name: load_model(name, given.profile).made_for("quick")
             for name in ("height", "width", "area", "box", "axis")
         }
         self.library = self.data["label"].values[training_rows(self.data)]

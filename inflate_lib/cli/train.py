@@ -36,6 +36,7 @@ def train(
     from inflate_lib.models import train
     from inflate_lib.models.reach import check_reach_file, save_reach
     from inflate_lib.models.recipe import load_recipe
+    from inflate_lib.models.weights import STUDENTS
 
     if pack is not None and (steps, out, log) != (None, None, None):
         raise ValueError("--pack trains nothing: leave out --steps, --out and --log")
@@ -45,7 +46,9 @@ def train(
         storage.check_files([pack], "pack")
     names = list(DESCRIPTORS) if descriptor == "all" else [get_descriptor(descriptor).name]
     if out is not None:
-        storage.check_files((out / f"{name}.safetensors" for name in names), "model")
+        storage.check_files(
+            (place / f"{name}.safetensors" for place in (out, out / STUDENTS) for name in names), "model"
+        )
         check_reach_file(out)
     recipe = load_recipe(profile)
     changes = {"device": device, "compile": compile or None}
@@ -75,6 +78,9 @@ def train(
         if out is not None and ranks.rank() == 0:
             save_reach(data, out)
             for name in names:
+                if recipe.student:
+                    student = train.student_file(out / f"{name}.safetensors", recipe, data)
+                    text += "\n" + _export(student, name, told, out / STUDENTS)
                 try:
                     calibrate_weights(out, data, recipe, [name])
                 except ValueError as error:  # it can be used all the same, told the target itself

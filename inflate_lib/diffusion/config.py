@@ -31,8 +31,8 @@ class TrainingConfig:
     timestep_draws: int = 1  # of so many uniform draws of t the noisiest trains; 1: uniform (paper), 2: density ∝ t
     condition_dropout: float = 0.1  # share of the structures whose descriptor is withheld
     parts: tuple[int, ...] = ()  # lengths of the parts of a descriptor that can be asked for separately; (): it is one
-    strongest: float = 0.0  # guidance up to this strength is distilled into the network after training; 0: none is
-    distillation_steps: int = 2000  # if any is
+    strongest: float = 0.0  # of a student: the largest strength of guidance that was distilled into it
+    distillation_steps: int = 2500  # of a student
     steps: int | None = None
     epochs: int | None = None
     batch_size: int = 100

@@ -72,7 +72,8 @@ def distil(
     -------
     TrainedModel
         The student, which :func:`inflate_lib.diffusion.generate` asks once a step. Its history is the teacher's; its
-        metadata hold, besides the teacher's, ``distillation``: the seconds spent and the loss at its end.
+        metadata hold, besides the teacher's, ``distillation``, the seconds spent and the loss at its end, and
+        ``teacher``, the fingerprint of that one's weights.
 
     Raises
     ------
@@ -86,7 +87,5 @@ def distil(
     run = _Distillation(teacher, images, conditions, replace(config, **steps, **rate), folder)
     run.run(f"{progress}, distillation" if isinstance(progress, str) else progress)
     student = run.model()
-    about = {"loss": run.history["loss"][-1], **run.spent()}
-    return replace(
-        student, config=config, history=teacher.history, metadata={**teacher.metadata, "distillation": about}
-    )
+    about = {"teacher": teacher.fingerprint, "distillation": {"loss": run.history["loss"][-1], **run.spent()}}
+    return replace(student, config=config, history=teacher.history, metadata={**teacher.metadata, **about})

@@ -32,6 +32,11 @@ class TrainedModel:
         """The noise schedule it was trained on."""
         return cosine_schedule(self.config.T)
 
+    @property
+    def fingerprint(self) -> str:
+        """What the weights are, to the last bit."""
+        return storage.fingerprint(*(value.numpy() for value in self.net.state_dict().values()))
+
     def scaled(self, conditions: np.ndarray) -> np.ndarray:
         """Descriptors (n, N) min–max scaled as in training; a constant descriptor becomes zero."""
         extent = self.condition_max - self.condition_min

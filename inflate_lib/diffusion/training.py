@@ -87,12 +87,7 @@ def train(
     try:
         run = _Run(images, conditions, replace(config, strongest=0), folder)
         run.run(progress, log)
-        model = run.model()
-        if config.strongest > 0:
-            from inflate_lib.diffusion.distillation import distil  # which itself needs the loop of this module
-
-            model = distil(model, images, conditions, config, folder, progress)
-        return model
+        return run.model()
     finally:
         torch.set_num_threads(threads_before)
 

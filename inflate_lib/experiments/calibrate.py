@@ -23,7 +23,7 @@ from inflate_lib.experiments.run import run_experiment
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.reach import save_reach
 from inflate_lib.models.recipe import Recipe
-from inflate_lib.models.weights import Model
+from inflate_lib.models.weights import STUDENTS, Model
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -62,6 +62,7 @@ def calibrate_weights(
     Into the header of each file go the recipe's ways of sampling and the calibrations for each, and ``reach.npz``
     beside them holds what the structures reach. The weights stay as they are. A joint model is calibrated for every
     combination of height, width and area, and for the axis, stress and stretch alone, as far as it follows them.
+    Students, in a folder ``students``, are calibrated as they are asked: quickly.
 
     Parameters
     ----------
@@ -88,41 +89,47 @@ def calibrate_weights(
     folder, models = Path(folder), {}
     if names is None:
         names = sorted(file.stem for file in folder.glob("*.safetensors"))
+    ways = recipe.ways()
     for file in (folder / f"{name}.safetensors" for name in names):
-        trained = TrainedModel.load(file)
-        if trained.metadata.get("data") != digest(data["image"].values, data["converged"].values):
-            raise ValueError(f"{file} was trained on other data: {trained.metadata.get('structures')} structures")
-        model = Model(file.stem, trained, recipe.sampling)
-        found = _all_calibrations(model, data, recipe)
-        ways = {
-            name: (way, _all_calibrations(model.sampled(**way), data, recipe)) for name, way in recipe.ways().items()
-        }
-        trained.metadata |= _as_header(recipe, recipe.sampling, found)
-        trained.metadata["samplers"] = {name: _as_header(recipe, *way) for name, way in ways.items()}
-        trained.save(file, half=True)
-        models[file.stem] = replace(model, calibrations=found, samplers=ways)
+        student = folder / STUDENTS / file.name
+        others = {purpose: way for purpose, way in ways.items() if purpose != "quick" or not student.is_file()}
+        models[file.stem] = _calibrate_file(file, data, recipe, others)
+        if student.is_file():
+            quick = replace(recipe, sampling=ways.get("quick", recipe.sampling))
+            models[file.stem].others["quick"] = _calibrate_file(student, data, quick, {})
     if not models:
         raise ValueError(f"{folder} holds no weights (*.safetensors); inflate train --out {folder} puts them there")
     save_reach(data, folder)
     return models
 
 
-def _all_calibrations(model, data, recipe):
-    """Those for everything that a model is calibrated for, as far as it follows; that of one descriptor must."""
+def _calibrate_file(file, data, recipe, others):
+    """One of the files of :func:`calibrate_weights`, with ways of sampling for other purposes."""
+    trained = TrainedModel.load(file)
+    if trained.metadata.get("data") != digest(data["image"].values, data["converged"].values):
+        raise ValueError(f"{file} was trained on other data: {trained.metadata.get('structures')} structures")
+    model = _calibrated(Model(file.stem, trained, recipe.sampling), data, recipe)
+    made = {purpose: _calibrated(model.sampled(**way), data, recipe) for purpose, way in others.items()}
+    trained.metadata |= _as_header(model, recipe)
+    trained.metadata["samplers"] = {purpose: _as_header(other, recipe) for purpose, other in made.items()}
+    trained.save(file, half=True)
+    return replace(model, others=made)
+
+
+def _calibrated(model, data, recipe):
+    """Calibrated for all that a model can be, as far as it follows; the model of one descriptor must."""
     joint, found = get_descriptor(model.name).any_part, {}
     for asked in _combinations(model.name) if joint else (model.name,):
         with suppress(ValueError) if joint else nullcontext():
             if recipe.n_calibration:
                 found[asked] = calibrate(model, data, recipe.n_calibration, recipe.seed, asked)
-    return found
+    return replace(model, calibrations=found)
 
 
-def _as_header(recipe, sampling, calibrations):
+def _as_header(model, recipe):
     how = {"n": recipe.n_calibration, "seed": recipe.seed}
-    return {
-        "sampling": dict(sampling),
-        "calibration": {asked: fit.as_dict() | how for asked, fit in calibrations.items()},
-    }
+    fits = {asked: fit.as_dict() | how for asked, fit in model.calibrations.items()}
+    return {"sampling": dict(model.sampling), "calibration": fits}
 
 
 def answers(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):

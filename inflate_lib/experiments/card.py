@@ -48,9 +48,12 @@ the last interval of training, the held-out loss the simple loss on the structur
 
 For each model the descriptors of {n} held-out structures that lie in the range of its training data were asked for, one
 structure was drawn for each and inflated, and what it achieved was compared with what was asked for; sampling:
-{sampling}; {calibration}. In brackets: 95 % bootstrap intervals. Errors are those of *valid* structures: drawings of
-one closed structure that converges at each load step. *Buildable* are those of them whose wall nowhere holds together
-in a single node and crosses no wall at any load step; of the real structures of the data {buildable} are.
+{sampling}; {calibration}. Ways of sampling for other purposes differ in what is named: {others}. Where there is a
+folder `students`, *quick* is answered by networks into which guidance was distilled, which are asked once a step.
+
+In brackets: 95 % bootstrap intervals. Errors are those of *valid* structures: drawings of one closed structure that
+converges at each load step. *Buildable* are those of them whose wall nowhere holds together in a single node and
+crosses no wall at any load step; of the real structures of the data {buildable} are.
 
 {accuracy}
 
@@ -105,13 +108,15 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
     for name, model in calibrate_weights(folder, data, recipe).items():
         metrics, trained, joint = {}, model.trained, get_descriptor(name).any_part
         for asked in (*DESCRIPTORS, *PHYSICAL) if joint else (name,):
-            drawn = run_held_out(model, data, recipe.seed, asked, n=n)
-            table = scores(drawn, asked, data, seed=recipe.seed)
-            rows = table.set_index("measure")[["value", "low", "high"]]
-            known = [measure for measure in _MEASURES if measure in rows.index]
-            title = f"{name}: {asked}" if joint else name
-            accuracy[title] = {_MEASURES[measure]: with_interval(*rows.loc[measure]) for measure in known}
-            metrics[asked] = {measure: score(table, measure) for measure in known}
+            for purpose, one in {"faithful": model, **model.others}.items():
+                drawn = run_held_out(one, data, recipe.seed, asked, n=n)
+                table = scores(drawn, asked, data, seed=recipe.seed)
+                rows = table.set_index("measure")[["value", "low", "high"]]
+                known = [measure for measure in _MEASURES if measure in rows.index]
+                title = (f"{name}: {asked}" if joint else name) + f", {purpose}" * (purpose != "faithful")
+                accuracy[title] = {_MEASURES[measure]: with_interval(*rows.loc[measure]) for measure in known}
+                if purpose == "faithful":
+                    metrics[asked] = {measure: score(table, measure) for measure in known}
         about = trained.metadata
         training[name] = {
             "parameters": f"{trained.net.n_parameters:,}",
@@ -144,7 +149,9 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
         accuracy=_markdown(accuracy),
         buildable=f"{100 * float(data['buildable'].mean()):.1f} %",
         n="all" if n is None else n,
-        sampling=", ".join(f"{key} {value}" for key, value in recipe.sampling.items()),
+        sampling=_in_words(recipe.sampling),
+        others="; ".join(f"*{purpose}*: {_in_words(changes)}" for purpose, changes in recipe.samplers.items())
+        or "none",
         calibration=how if recipe.n_calibration else "the model was told the target itself",
     )
     with hand_out(card, _is_card) as place:
@@ -155,6 +162,10 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
 def _is_card(file):
     """Whether a file is a card, by its first words; it has no record where it comes with a clone."""
     return file.read_bytes().startswith(_CARD.split("`")[0].encode())
+
+
+def _in_words(options):
+    return ", ".join(f"{key} {value}" for key, value in options.items())
 
 
 def _markdown(rows: Mapping) -> str:

@@ -234,7 +234,7 @@ def design(
     if start_from == "training":
         model = None
     else:
-        model = (model or _find_model(targets, profile)).sampled_for("quick")
+        model = (model or _find_model(targets, profile)).made_for("quick")
         _check_model(model, targets)
         _check_reach(targets, model.reach if data is None else data)
     structures = data if data is not None and "label" in data else None

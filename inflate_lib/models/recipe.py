@@ -10,6 +10,7 @@ It is the section ``recipe`` of ``notebooks/profiles/<name>.yml``::
       training: {…}            # options of inflate_lib.diffusion.TrainingConfig
       sampling: {…}            # options of inflate_lib.diffusion.generate
       samplers: {quick: {…}}   # what differs for other purposes, by name; may be left out
+      student: {strongest: 10} # guidance is distilled so, into a student for the purpose "quick"; may be left out
       n_calibration: 200       # structures drawn to calibrate a model; 0: none
 
 Whoever needs to know how models are made, a notebook, a command or a test, asks for the recipe by the profile's name.
@@ -34,6 +35,7 @@ EDITION = "laptop"  # the profile of the published book, whose recipe a notebook
 _INTERACTIVE = "interactive"  # the profile of such a notebook
 #: What structures are drawn for: ``sampling`` says how for the first, ``samplers`` may for the others.
 PURPOSES = ("faithful", "varied", "quick")
+_STUDENT = ("strongest", "distillation_steps")
 #: What is checked of each option of sampling; `generate` itself checks the rest.
 _SAMPLING = {
     "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
@@ -70,6 +72,9 @@ class Recipe:
         Training structures that are asked for to calibrate a model; 0 for none.
     samplers : Mapping
         Other ways of sampling, by the name of their purpose: the options of ``sampling`` that they change.
+    student : Mapping
+        Options of :class:`inflate_lib.diffusion.TrainingConfig` for a student: ``strongest``, ``distillation_steps``.
+        Empty: there is none.
     """
 
     source: str
@@ -80,17 +85,19 @@ class Recipe:
     sampling: Mapping[str, Any]
     n_calibration: int
     samplers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    student: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
         choice("source", self.source, ("auto", "mnist", "digits"))
         for name, least in {"seed": 0, "n_structures": 1, "n_augmented": 1, "n_calibration": 0}.items():
             if name != "n_structures" or self.n_structures is not None:
                 whole_number(name, getattr(self, name), least)
-        for name in ("training", "sampling", "samplers"):
+        for name in ("training", "sampling", "samplers", "student"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} must be a mapping of options, not {getattr(self, name)!r}")
         if own := [name for name in ("seed", "parts") if name in self.training]:
             raise ValueError(f"training: {own[0]} follows from the recipe's seed and the descriptor; leave it out")
+        _check_names("student", self.student, _STUDENT)
         _check_names("samplers", self.samplers, PURPOSES[1:])
         for where, options in {"sampling": self.sampling, **self.samplers}.items():
             if not isinstance(options, Mapping):

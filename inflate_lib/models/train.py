@@ -15,7 +15,8 @@ from joblib import Parallel, delayed, effective_n_jobs
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
-from inflate_lib.diffusion import ranks, train
+from inflate_lib.diffusion import TrainedModel, ranks, train
+from inflate_lib.diffusion.distillation import distil
 from inflate_lib.diffusion.training import choose_device
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.remote import train_and_test, write_pack
@@ -93,6 +94,27 @@ def trained_model_file(
     path = cached("model", key, make, ".safetensors")
     ranks.share(False)
     return path
+
+
+def student_file(path: Path, recipe: Recipe, data) -> Path:
+    """Distil guidance into a student of a trained model, or find it in the cache.
+
+    Parameters
+    ----------
+    path : path_like
+        The teacher's file, in 16 bits, as it is handed out.
+    recipe, data
+        See :func:`trained_model_file`; the recipe has a section ``student``.
+    """
+    teacher = TrainedModel.load(path)
+    pairs = training_set(teacher.metadata["descriptor"], recipe, data)
+    config = replace(teacher.config, **recipe.student)
+
+    def make(target, scratch):
+        distil(teacher, *pairs.pairs, config, scratch, f"distilling {pairs.descriptor}").save(target)
+
+    key = pairs.about | {"training": config.recipe(), "teacher": teacher.fingerprint, "code": step_version("model")}
+    return cached("model", key, make, ".safetensors")
 
 
 def train_models(

@@ -24,6 +24,8 @@ from inflate_lib.models.train import train_models, training_set
 if TYPE_CHECKING:
     import xarray as xr
 
+STUDENTS = "students"  # folder beside the weights, with those into which guidance was distilled
+
 
 @dataclass(frozen=True)
 class Model:
@@ -38,8 +40,8 @@ class Model:
         Options of :func:`inflate_lib.diffusion.generate`: sampler, steps, eta, guidance.
     calibrations : Mapping
         Descriptor asked for → :class:`Calibration`, good for this sampling alone. What has none is told as it is.
-    samplers : Mapping
-        Purpose → the sampling and the calibrations for it, see :meth:`sampled_for`.
+    others : Mapping
+        Purpose → the model for it, see :meth:`made_for`.
     reach : xarray.Dataset, optional
         Descriptors of the simulated structures, beyond which nothing is drawn (:mod:`inflate_lib.models.reach`).
     """
@@ -49,7 +51,7 @@ class Model:
     sampling: Mapping = field(default_factory=dict)
     calibrations: Mapping[str, Calibration] = field(default_factory=dict)
     reach: Any = None
-    samplers: Mapping[str, tuple[Mapping, Mapping]] = field(default_factory=dict)
+    others: Mapping[str, "Model"] = field(default_factory=dict)
 
     @property
     def takes(self) -> tuple[str, ...]:
@@ -106,16 +108,17 @@ class Model:
 
     def sampled(self, **changes: Any) -> "Model":
         """The same model with other options of sampling, for which it is not calibrated."""
-        return replace(self, sampling={**self.sampling, **changes}, calibrations={})
+        return replace(self, sampling={**self.sampling, **changes}, calibrations={}, others={})
 
-    def sampled_for(self, purpose: str) -> "Model":
-        """The same model, sampled and calibrated for a purpose; as it is where it was given no way for that one.
+    def made_for(self, purpose: str) -> "Model":
+        """The model that draws for a purpose, with its sampling and calibrations; this one where there is no other.
 
         Parameters
         ----------
         purpose : {"faithful", "varied", "quick"}
             As the experiments of the paper are made, which is how every model comes; with more steps, which draw more
-            various structures; or with few, for designs, which inflate and refine what is drawn.
+            various structures; or for designs, which inflate and refine whatever is drawn: with few steps and, where
+            guidance was distilled (:mod:`inflate_lib.diffusion.distillation`), by the student.
 
         Raises
         ------
@@ -123,10 +126,7 @@ class Model:
             There is no such purpose.
         """
         choice("purpose", purpose, PURPOSES)
-        if purpose not in self.samplers:
-            return self
-        sampling, calibrations = self.samplers[purpose]
-        return replace(self, sampling=sampling, calibrations=calibrations)
+        return self.others.get(purpose, self)
 
     def _vectors(self, targets):
         """Targets as vectors (m, N), by their names, in the order in which the model takes them."""
@@ -211,12 +211,11 @@ def load_model(name: str, profile: str = "laptop") -> Model:
         table = reach.reach_of(simulated_sevens(trained.metadata.get("source", "auto")))
     if "calibration" not in trained.metadata:
         warnings.warn(f"{there[name]} is not calibrated: `inflate card --profile {profile}` does it", stacklevel=2)
-    about = trained.metadata
-    samplers = {
-        purpose: (way["sampling"], _calibrations(way["calibration"]))
-        for purpose, way in about.get("samplers", {}).items()
-    }
-    return Model(name, trained, about.get("sampling", {}), _calibrations(about.get("calibration", {})), table, samplers)
+    model = _model(name, trained, trained.metadata, table)
+    others = {purpose: _model(name, trained, about, table) for purpose, about in _samplers(trained).items()}
+    if (student := _student(there[name])) is not None:
+        others["quick"] = _model(name, student, student.metadata, table)
+    return replace(model, others=others)
 
 
 def committed_weights(descriptor: str, recipe: Recipe, data: "xr.Dataset") -> tuple[Path | None, str]:
@@ -274,28 +273,45 @@ def trained_models(names: Sequence[str], recipe: Recipe, data: "xr.Dataset") -> 
         print(f"trained for this run: {', '.join(missing)}")
         found |= {name: path for name, path in train_models(missing, recipe, data).items() if path is not None}
     table = reach.reach_of(data)
-    models = {name: TrainedModel.load(found[name]) for name in names}
-    return {
-        name: Model(
-            name,
-            trained,
-            recipe.sampling,
-            _stored(trained.metadata, recipe.sampling, recipe),
-            table,
-            {
-                purpose: (way, _stored(trained.metadata.get("samplers", {}).get(purpose, {}), way, recipe))
-                for purpose, way in recipe.ways().items()
-            },
-        )
-        for name, trained in models.items()
-    }
+    models = {}
+    for name in names:
+        trained, ways = TrainedModel.load(found[name]), {"faithful": dict(recipe.sampling), **recipe.ways()}
+        asked = {purpose: (trained, _samplers(trained).get(purpose, {})) for purpose in ways}
+        asked["faithful"] = trained, trained.metadata
+        if "quick" in ways and (student := _student(found[name])) is not None:
+            asked["quick"] = student, student.metadata
+        made = {
+            purpose: _model(name, one, {"sampling": way, "calibration": _stored(about, way, recipe)}, table)
+            for (purpose, (one, about)), way in zip(asked.items(), ways.values(), strict=True)
+        }
+        models[name] = replace(made.pop("faithful"), others=made)
+    return models
+
+
+def _model(name, trained, about, table):
+    """A model with the sampling and the calibrations that a header tells."""
+    return Model(name, trained, about.get("sampling", {}), _calibrations(about.get("calibration", {})), table)
+
+
+def _samplers(trained):
+    """Purpose → sampling and calibrations, as the header of weights tells them."""
+    return trained.metadata.get("samplers", {})
+
+
+def _student(path):
+    """The student of the model in a file, if there is one, and it is of that very teacher."""
+    file = path.parent / STUDENTS / path.name
+    if not file.is_file():
+        return None
+    student = TrainedModel.load(file)
+    return student if student.metadata.get("teacher") == TrainedModel.load(path).fingerprint else None
 
 
 def _stored(about, sampling, recipe):
-    """The calibrations in the header of weights, without those of another sampling, n or seed than a recipe's."""
+    """The calibrations in a header, without those of another sampling, n or seed than a recipe's."""
     wanted, fits = {"n": recipe.n_calibration, "seed": recipe.seed}, about.get("sampling") == dict(sampling)
     stored = about.get("calibration", {}) if fits else {}
-    return _calibrations({asked: one for asked, one in stored.items() if wanted.items() <= one.items()})
+    return {asked: one for asked, one in stored.items() if wanted.items() <= one.items()}
 
 
 def _calibrations(stored):

@@ -69,12 +69,9 @@ def same(model, other):
     return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
 
 
-def test_training_with_distillation_is_training_and_then_distillation(teacher, tmp_path):
-    whole = train(*bars(), SHORT, tmp_path, progress=False, threads=1)
-    assert whole.config == SHORT and whole.history == teacher.history
-    assert same(whole, distil(teacher, *bars(), SHORT, progress=False))
-    again = train(*bars(), SHORT, tmp_path, progress=False, threads=1)  # both are found finished
-    assert again.metadata["distillation"]["loss"] == whole.metadata["distillation"]["loss"]
+def test_a_student_says_whose_it_is(teacher, student):
+    assert student.history == teacher.history and student.metadata["teacher"] == teacher.fingerprint
+    assert student.fingerprint != teacher.fingerprint
 
 
 def test_an_interrupted_distillation_goes_on_where_it_was(teacher, tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ from inflate_lib.experiments.run import inside, run_experiment, run_held_out
 from inflate_lib.experiments.tables import scores, with_interval
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import Recipe
-from inflate_lib.models.train import train_models
+from inflate_lib.models.train import student_file, train_models
 from inflate_lib.models.weights import Model, trained_models
 
 TRAINING = {"channels": [4, 8], "embedding": 16, "objective": "v", "steps": 4, "batch_size": 8, "device": "cpu"}
@@ -100,14 +100,37 @@ def test_each_purpose_has_its_sampling_and_a_calibration_for_it(folder, data, mo
     recipe = RECIPE.changed(n_calibration=4, samplers={"quick": {"steps": 1}})
     calibrate_weights(folder, data, recipe, ["height"])
     for model in (load_model("height", "tiny"), trained_models(["height"], recipe, data)["height"]):
-        quick = model.sampled_for("quick")
+        quick = model.made_for("quick")
         assert dict(model.sampling) == SAMPLING and dict(quick.sampling) == {**SAMPLING, "steps": 1}
         assert model.calibrations["height"].slope == 3 and quick.calibrations["height"].slope == 2
-        assert model.sampled_for("faithful") is model and model.sampled_for("varied") is model
+        assert model.made_for("faithful") is model and model.made_for("varied") is model
         with pytest.raises(ValueError, match="purpose must be one of faithful, varied, quick, not 'fast'"):
-            model.sampled_for("fast")
+            model.made_for("fast")
     other = trained_models(["height"], recipe.changed(samplers={"quick": {"steps": 3}}), data)["height"]
-    assert other.calibrations and not other.sampled_for("quick").calibrations
+    assert other.calibrations and not other.made_for("quick").calibrations
+
+
+def test_a_student_answers_for_its_own_teacher_where_it_is_quick(folder, data, monkeypatch):
+    monkeypatch.setattr(calibrate, "calibrate", lambda *_: Calibration(np.zeros(1), np.eye(1), np.zeros(1), np.eye(1)))
+    monkeypatch.setattr(paths, "PRETRAINED", folder.parent)
+    (folder / "axis.safetensors").unlink()
+    recipe = RECIPE.changed(
+        samplers={"quick": {"steps": 1, "guidance": 3.0}}, student={"strongest": 4.0, "distillation_steps": 2}
+    )
+    teacher = TrainedModel.load(folder / "height.safetensors")
+    student = TrainedModel.load(student_file(folder / "height.safetensors", recipe, data))
+    student.save(folder / "students" / "height.safetensors", half=True)
+    text = write_card(folder, data, recipe, n=4).read_text(encoding="utf-8")
+    assert "| height, quick" in text and "*quick*: steps 1, guidance 3.0" in text
+    for model in (load_model("height", "tiny"), trained_models(["height"], recipe, data)["height"]):
+        quick = model.made_for("quick")
+        assert quick.trained.config.strongest == 4 and not model.trained.config.strongest
+        assert quick.sampling == {**SAMPLING, "steps": 1, "guidance": 3.0}
+        assert quick.draw({"height": float(data["height"].median())}, 2).shape == (2, 28, 28)
+    teacher.net.null.data += 1  # another teacher has no student
+    teacher.save(folder / "height.safetensors", half=True)
+    with pytest.warns(UserWarning, match="not calibrated"):
+        assert not load_model("height", "tiny").made_for("quick").trained.config.strongest
 
 
 def test_weights_without_a_calibration_say_what_to_do(folder, data, monkeypatch):
