@@ -126,6 +126,19 @@ def test_two_other_settings_fit_the_papers_table_1_as_well_as_the_default():
     assert abs(finer["height_percent"]) < 0.2 and finer["width_low"] > table.loc[default, "width_percent"]
 
 
+def test_retrieval_is_the_better_start_and_drawings_are_newer():
+    """As the chapter on design says in words, of joint models as well."""
+    table = pd.read_csv(paths.REFERENCE / "opponents.csv").query("targets == 'all'").set_index("start")
+    retrieved, drawn = table.loc["training"], table.loc["model"]
+    assert retrieved["met"] > drawn["met"] and retrieved["designs"] > drawn["designs"]
+    assert retrieved["first"] < drawn["first"] and retrieved["novelty"] < drawn["novelty"]
+    error = pd.read_csv(paths.REFERENCE / "joint.csv").set_index(["targets", "model", "n"])["median error"]
+    for name in ("height", "width", "box", "area", "axis"):
+        assert error[name, name, 1] < error[name, "joint", 1]
+    assert error["height and width and area", "box", 4] < error["height and width and area", "joint", 4]
+    assert error["height and stress", "joint", 1] < error["height and stress", "height", 1]
+
+
 def test_bends_help_heights_and_areas_and_not_widths():
     """As the chapter on accuracy says in words."""
     table = pd.read_csv(paths.REFERENCE / "tails.csv").set_index(["descriptor", "calibration", "part"]).sort_index()
