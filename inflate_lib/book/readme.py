@@ -48,7 +48,7 @@ def _numbers() -> str:
     }
     rows = (cells, [":-:"] * len(cells), cells.values())
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
-    return f":::{{table}}\n:class: three-numbers\n\n{table}\n:::"
+    return f"```{{table}}\n:class: three-numbers\n\n{table}\n```"
 
 
 def _results() -> str:

@@ -82,8 +82,8 @@ def test_what_the_paper_leaves_to_future_work_has_a_row_each():
 def departures():
     """The rows of the table of departures from the paper, without the headings of its parts."""
     text = (paths.NOTEBOOKS / "13_comparison.md").read_text(encoding="utf-8")
-    table = text.split(":name: tab-departures")[1].split("\n:::")[0]
-    head, _, *rows = [line.strip("| ").split(" | ") for line in table.splitlines() if line.startswith("|")]
+    section = text.split("(sec-departures)=")[1].split("## What the paper leaves to future work")[0]
+    head, _, *rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("|")]
     assert head == ["paper", "here", "reason", "measured effect", "chapter"]
     return [row for row in rows if not row[0].startswith("**")]
 
