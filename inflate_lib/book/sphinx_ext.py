@@ -22,6 +22,7 @@ from sphinx.transforms import SphinxTransform
 
 from inflate_lib import paths
 from inflate_lib._provenance import code_state
+from inflate_lib.book.findings import FindingsBox
 from inflate_lib.book.page import SOURCES, recorded
 from inflate_lib.book.profiles import ProfileError, load_profile
 from inflate_lib.book.run import executed_under
@@ -209,6 +210,7 @@ def setup(app):
     app.add_node(_TableCaption, html=(_visit_table_caption, _depart_table_caption))
     app.add_transform(_CaptionTables)
     app.add_directive("public", _PublicApi)
+    app.add_directive("findings", FindingsBox)
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)
     app.connect("doctree-read", _add_badge)

@@ -139,21 +139,6 @@ def test_retrieval_is_the_better_start_and_drawings_are_newer():
     assert error["height and stress", "joint", 1] < error["height and stress", "height", 1]
 
 
-def test_bends_help_heights_and_areas_and_not_widths():
-    """As the chapter on accuracy says in words."""
-    table = pd.read_csv(paths.REFERENCE / "tails.csv").set_index(["descriptor", "calibration", "part"]).sort_index()
-    for name in ("height", "area"):
-        line, bent = (table.loc[(name, way)] for way in ("straight", "bent"))
-        assert bent.loc["all", "R²"] > line.loc["all", "R²"]
-        assert 0 < bent.loc["10", "median"] < line.loc["10", "median"]
-        assert bent.loc["10", "median low"] < 0 < line.loc["10", "median low"]
-    line, bent = (table.loc[("width", way)] for way in ("straight", "bent"))
-    assert bent.loc["all", "R²"] < line.loc["all", "R²"]
-    for end in ("1", "10"):
-        assert line.loc[end, "median low"] < 0 < line.loc[end, "median high"]
-        assert bent.loc[end, "median high"] < 0
-
-
 @pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
 def test_code_fits_the_page_and_what_is_not_to_be_read_is_folded(chapter):
     """Parameters, imports, and cells that do no more than record the error of a formula."""
