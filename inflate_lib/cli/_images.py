@@ -20,6 +20,7 @@ from inflate_lib.descriptors.registry import basic
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.pictures import PICTURES, in_one_line, read_images, with_ending
 from inflate_lib.io.vtk import vtk_files, write_vtk
+from inflate_lib.mechanics.buildable import find_flaw
 from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, inflate, load_history
 from inflate_lib.mechanics.mesh import build_mesh
 from inflate_lib.mechanics.stress import QUANTITIES
@@ -65,8 +66,9 @@ def simulate_files(files, options, inputs=()):
     ------
     dict
         One record per image: name, file, note, converged, reason (why it failed: the image, the equilibrium, or a file
-        that cannot be written), height, width, hull_area, medial_axis (None where not converged), load_steps (those
-        with an equilibrium: time, pressure, height, width, hull_area of each), seconds, files.
+        that cannot be written), flaw (why what was inflated cannot be built all the same), height, width, hull_area,
+        medial_axis (None where not converged), load_steps (those with an equilibrium: time, pressure, height, width,
+        hull_area of each), seconds, files.
 
     Raises
     ------
@@ -132,6 +134,8 @@ def report(records, as_json, options):
         done.append(record)
         if record["reason"]:
             say.print(f"{record['name']}: {record['reason']}")
+        elif record["flaw"]:
+            say.print(f"{record['name']}: inflated, but it cannot be built. {record['flaw']}")
     failed = sum(bool(record["reason"]) for record in done)
     if as_json:
         parameters = {k: v for k, v in asdict(options).items() if k not in ("plot", "gif", "vtk", "moose")}
@@ -163,7 +167,7 @@ def _images(path, options):
 def _record(name, file, image, note, options, alone):
     """Inflate one image and write its files."""
     start = time.perf_counter()
-    record = {"name": name, "file": str(file), "note": note, "converged": False, "reason": ""}
+    record = {"name": name, "file": str(file), "note": note, "converged": False, "reason": "", "flaw": ""}
     record |= dict.fromkeys((*_SIZES, "medial_axis")) | {"load_steps": []}
     written = []
     try:
@@ -186,6 +190,7 @@ def _record(name, file, image, note, options, alone):
         for t, p, shape in zip(result.load_steps, result.pressures, shapes, strict=False):
             record["load_steps"].append({"time": float(t), "pressure": float(p)} | _sizes(shape))
         if result.converged:
+            record["flaw"] = str(find_flaw(result) or "")
             record |= _sizes(shapes[-1]) | {"medial_axis": shapes[-1].medial_axis.tolist()}
         if options.plot is not None:
             written.append(pictures.write_picture(result, _own(options.plot, name, alone), options.colour))

@@ -16,6 +16,7 @@ from inflate_lib import describe, inflate, label_image
 from inflate_lib.cli import _images, app
 from inflate_lib.cli._images import Options, simulate_files
 from inflate_lib.io.pictures import read_images
+from inflate_lib.mechanics.buildable import Flaw
 from inflate_lib.structures.labels import _EDGES
 from inflate_lib.structures.sources import load_sevens
 
@@ -191,6 +192,18 @@ def test_pictures_of_another_size_are_fitted_on_request(folder):
     assert wide.shape == (28, 28) and wide[11:17].min() == 255 and not wide[:10].any() and not wide[18:].any()
     (record,) = simulate_files(["drawing.png"], Options(resize=True, invert=True, n_steps=1))
     assert record["converged"] and record["note"] == "resized from 112 × 112"
+
+
+def test_what_cannot_be_built_is_said_with_the_reason(folder, run):
+    """It is inflated all the same: two rooms that share a corner, and legs that bulge into one another."""
+    rooms, arch = np.zeros((2, 28, 28), np.uint8)
+    rooms[6:16, 12:15] = rooms[16:26, 15:18] = 255
+    arch[4:24, 6:9] = arch[4:24, 14:17] = arch[4:7, 6:17] = 255
+    np.save("three.npy", [DIGITS[0], rooms, arch])
+    code, out, err = run("three.npy", "--json")
+    assert code == 0 and [one["converged"] for one in json.loads(out)["structures"]] == [True] * 3
+    assert [one["flaw"] for one in json.loads(out)["structures"]] == ["", Flaw.POINT_JOINT, Flaw.CROSSING_WALLS]
+    assert f"three_001: inflated, but it cannot be built. {Flaw.POINT_JOINT}" in err and "three_000:" not in err
 
 
 def test_a_stack_is_a_row_for_each_picture_and_what_is_left_out_is_noted(folder, run):
