@@ -8,6 +8,7 @@ import functools
 import json
 import os
 import platform
+import re
 import signal
 import threading
 import time
@@ -39,7 +40,6 @@ from inflate_lib.structures.sources import CHOSEN, resolve_source
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 #: loky replaces a worker that has grown by 300 MB, as one that trains a second model may, and says so with a warning.
 _RESTARTED = "ignore:A worker stopped while some jobs were given to the executor:UserWarning"
-_FOLDED = {"parameters", "hide-input", "hide-cell", "remove-input", "remove-cell"}  # tags of code that is not read
 _DATA = {"mnist": "MNIST", "digits": "the embedded digits"}
 
 
@@ -135,11 +135,13 @@ def find_notebooks() -> list[Path]:
 
 
 def reading_minutes(notebook: Path) -> int:
-    """Minutes that a notebook asks of its reader: 200 words of prose in one, and three seconds for a line of code."""
+    """Minutes that the text and the captions of a notebook take: 200 words each, and twenty seconds for an equation."""
     cells = jupytext.read(notebook).cells
-    words = sum(len(cell.source.split()) for cell in cells if cell.cell_type == "markdown")
-    code = [cell for cell in cells if cell.cell_type == "code" and not _FOLDED & set(cell.metadata.get("tags", []))]
-    return round(words / 200 + sum(len(cell.source.splitlines()) for cell in code) / 20)
+    captions = [cell.metadata.get("mystnb", {}).get("figure", {}).get("caption", "") for cell in cells]
+    text = "\n".join([cell.source for cell in cells if cell.cell_type == "markdown"] + captions)
+    text, equations = re.subn(r"\$\$.*?\$\$|^```bash.*?^```", " ", text, flags=re.DOTALL | re.MULTILINE)
+    words = len(re.findall(r"\w\S*", re.sub(r"\$[^$]*\$", "x", text)))  # a formula in a line counts as a word
+    return round(words / 200 + equations / 3)
 
 
 def reproduce(

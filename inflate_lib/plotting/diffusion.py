@@ -153,7 +153,7 @@ def plot_answers(answers: Mapping[str, tuple]):
 
 
 def plot_calibrated_guidance(wanted, panels: Mapping[str, Mapping[str, np.ndarray]]):
-    """Mean and standard deviation, (2, n), of what was drawn for each of ``wanted`` (n,), a panel for each telling."""
+    """Mean and standard deviation, (2, n), of what was drawn for each of ``wanted`` (n,), in panels."""
     fig, axes = figure(1, len(panels), height=6.2, sharex=True, sharey=True)
     for ax, (title, curves) in zip(axes, panels.items(), strict=True):
         ax.plot(wanted, wanted, ":", color=COLOURS.ink, label="drawn = wanted")

@@ -10,7 +10,7 @@ import pytest
 
 import inflate_lib
 from inflate_lib import paths
-from inflate_lib.book.run import find_notebooks
+from inflate_lib.book.run import find_notebooks, reading_minutes
 from inflate_lib.models.recipe import load_recipe
 
 CHAPTERS = find_notebooks()
@@ -149,3 +149,8 @@ def test_code_fits_the_page_and_what_is_not_to_be_read_is_folded(chapter):
             checks = '_error"' in cell.source and "mystnb" not in cell.metadata
             if checks or "parameters" in tags or cell.source.startswith(("import ", "from ")):
                 assert {"hide-input", "hide-cell", "remove-cell"} & set(tags), cell.source.splitlines()[0]
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
+def test_a_chapter_is_read_in_twenty_minutes(chapter):
+    assert reading_minutes(chapter) <= 20
