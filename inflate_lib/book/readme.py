@@ -10,7 +10,20 @@ import pandas as pd
 
 from inflate_lib import paths
 from inflate_lib._files import draft
+from inflate_lib.book.findings import Tables
 from inflate_lib.descriptors import DESCRIPTORS
+
+_DEFAULT = '"mean-dilatation", 0.5, True, 1, 6265'  # of the choices in calibration.csv
+_OURS = 'stored.speed_peers(10, "inflate_lib, mean dilatation (default)", "ms")'
+_THREE_NUMBERS = f"""```{{table}}
+:class: three-numbers
+
+| [[held_out_scalars("median error / target", "height") | .1f]] % | [[stored.calibration({_DEFAULT}, "mean_percent") | .1f]] % | [[{_OURS} | .0f]] ms |
+|:-:|:-:|:-:|
+| median error of one drawing, for heights that no model was trained on; the best of 16 drawings misses by [[stored.controls("w = 3, calibrated", "best of 16", "median") | .1f]] % | mean deviation of our simulations from the fifteen numbers of the paper's Table 1 | for one inflation on one core; a general finite element library takes [[stored.speed_peers(10, "FElupe, tuned by us", "ms") / {_OURS} | .0f]] times as long or more |
+```"""  # noqa: E501
+_TABLE1 = f"""\
+The fifteen numbers of the cluster centroids in the paper's Table 1 are met to [[stored.calibration({_DEFAULT}, "mean_percent") | .2f]] % on average, [[stored.calibration({_DEFAULT}, "largest_percent") | .2f]] % at most (heights [[stored.calibration({_DEFAULT}, "height_percent") | +.1f]] %, widths [[stored.calibration({_DEFAULT}, "width_percent") | +.1f]] %, areas [[stored.calibration({_DEFAULT}, "area_percent") | +.1f]] % on average). Threshold, padding and element were chosen with these numbers in view, so this is in part no independent test."""  # noqa: E501
 
 
 def _renewed(text: str, names: tuple[str, ...]) -> str:
@@ -32,21 +45,7 @@ def _quickstart() -> str:
 
 def _numbers() -> str:
     """Three numbers for the first ten seconds: how near the drawings come, how near the simulation, how quick it is."""
-    drawn = _card()["height"]["median error (%)"].split()[0]
-    controls = pd.read_csv(paths.REFERENCE / "controls.csv").set_index(["control", "effort"])["median"]
-    best = controls["w = 3, calibrated", "best of 16"]
-    peers = pd.read_csv(paths.REFERENCE / "speed_peers.csv").set_index(["load_steps", "solver"])
-    ours = peers.loc[(10, "inflate_lib, mean dilatation (default)"), "ms"]
-    cells = {
-        f"{drawn} %": "median error of one drawing, for heights that no model was trained on; the best of 16 drawings "
-        f"misses by {best:.1f} %",
-        f"{_deviations()['mean_percent']:.1f} %": "mean deviation of our simulations from the fifteen numbers of the paper's Table 1",
-        f"{ours:.0f} ms": "for one inflation on one core; a general finite element library takes "
-        f"{peers.loc[(10, 'FElupe, tuned by us'), 'ms'] / ours:.0f} times as long or more",
-    }
-    rows = (cells, [":-:"] * len(cells), cells.values())
-    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
-    return f"```{{table}}\n:class: three-numbers\n\n{table}\n```"
+    return Tables(paths.EDITION).filled(_THREE_NUMBERS)
 
 
 def _results() -> str:
@@ -62,7 +61,7 @@ def _results() -> str:
         median = f"{row['median point distance (px)']} px" if percent == "–" else f"{percent} %"
         measured_shares = " | ".join(f"{row[f'{share} (%)']} %" for share in shares)
         lines.append(f"| {name} | {row['R²']} | {median} | {measured_shares} |")
-    return "\n".join([*lines, "", _opponents(), "", _mesh_error(), "", _table1()])
+    return "\n".join([*lines, "", _opponents(), "", _mesh_error(), "", Tables(paths.EDITION).filled(_TABLE1)])
 
 
 def _card() -> dict[str, dict[str, str]]:
@@ -72,23 +71,6 @@ def _card() -> dict[str, dict[str, str]]:
     return {row[0]: dict(zip(table[0], row, strict=True)) for row in table[1:]}
 
 
-def _deviations():
-    """How far our centroids are from those of the paper's Table 1, under the default of every choice."""
-    choices = pd.read_csv(paths.REFERENCE / "calibration.csv").set_index(["element", "refine", "threshold", "pad"])
-    return choices.loc[("mean-dilatation", 1, 0.5, True)]
-
-
-def _table1():
-    """The comparison with the only results that the paper prints."""
-    measured = _deviations()
-    return (
-        f"The fifteen numbers of the cluster centroids in the paper's Table 1 are met to {measured['mean_percent']:.2f} % "
-        f"on average, {measured['largest_percent']:.2f} % at most (heights {measured['height_percent']:+.1f} %, widths "
-        f"{measured['width_percent']:+.1f} %, areas {measured['area_percent']:+.1f} % on average). Threshold, padding and "
-        "element were chosen with these numbers in view, so this is in part no independent test."
-    ).replace("-0", "−0")
-
-
 def _opponents():
     """What designs that start from drawings, and from training structures, come to at equal computing time."""
     table = pd.read_csv(paths.REFERENCE / "opponents.csv").query("targets == 'all'").set_index("start")
@@ -96,8 +78,8 @@ def _opponents():
     return (
         "In a search for designs, the nearest training structures are the better start: refined in the same way for "
         f"the same time, they meet {retrieved['met']:.0f} of {retrieved['n']:.0f} held-out targets, the model's "
-        f"drawings {drawn['met']:.0f}. But {retrieved['copies']:.0f} % of their designs are training structures as they "
-        f"are, while a drawing differs from the nearest one in {drawn['novelty']:.0f} % of its pixels (median). "
+        f"drawings {drawn['met']:.0f}. But {retrieved['copies']:.0f} % of their designs are training structures as "
+        f"they are, while a drawing differs from the nearest one in {drawn['novelty']:.0f} % of its pixels (median). "
         "`inflate design` uses both."
     )
 
