@@ -109,6 +109,13 @@ def test_ci_runs_what_the_readme_says():
     assert (paths.ROOT / ".ci" / "run").stat().st_mode & 0o111
 
 
+def test_a_release_carries_the_edition_as_a_pdf():
+    steps = yaml.safe_load(read(".github/workflows/release.yml"))["jobs"]["pdf"]["steps"]
+    commands = [step.get("run", "") for step in steps]
+    made = next(number for number, command in enumerate(commands) if command.startswith("make pdf PROFILE=laptop"))
+    assert "book/_build/pdf/book.pdf" in commands[made + 1] and "gh release upload" in commands[made + 1]
+
+
 def test_the_table_of_contents_lists_every_notebook_once():
     contents = yaml.safe_load(read("book/_toc.yml"))
     files = [chapter["file"] for part in contents["parts"] for chapter in part["chapters"]]

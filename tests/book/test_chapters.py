@@ -79,15 +79,6 @@ def test_what_the_paper_leaves_to_future_work_has_a_row_each():
         assert here != "done" or recorded or "23_extending" in how, f"{what}: no number is given"
 
 
-@pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
-def test_no_chapter_asks_for_more_than_twenty_minutes(chapter):
-    """At 200 words a minute, of the prose and of the captions; what stands for a number counts as a word."""
-    cells = jupytext.read(chapter).cells
-    text = [cell.source for cell in cells if cell.cell_type == "markdown"]
-    text += [cell.metadata.get("mystnb", {}).get("figure", {}).get("caption", "") for cell in cells]
-    assert len(re.sub(r"\{[\w:]+\}`[^`]*`", "x", " ".join(text)).split()) <= 20 * 200
-
-
 def departures():
     """The rows of the table of departures from the paper, without the headings of its parts."""
     text = (paths.NOTEBOOKS / "13_comparison.md").read_text(encoding="utf-8")

@@ -12,7 +12,8 @@ def test_generating_a_page_changes_nothing(page):
 
 
 def test_a_changed_part_is_made_anew_and_the_rest_left_alone():
-    text = "a\n<!-- quickstart -->\nlast year\n<!-- end of quickstart -->\nb\n<!-- results -->\n\n<!-- end of results -->\nc\n"
+    text = "a\n<!-- quickstart -->\nlast year\n<!-- end of quickstart -->\n"
+    text += "b\n<!-- results -->\n\n<!-- end of results -->\nc\n"
     names = ("quickstart", "results")
     new = _renewed(text, names)
     assert "last year" not in new and "label_image(" in new
