@@ -116,10 +116,10 @@ def evaluate_variant(model, data, targets, seed=0, n_calibration=_N_CALIBRATION,
                 calibration = calibrate(model, data, n_calibration, seed, descriptor, n_jobs)
                 model = replace(model, calibrations={descriptor: calibration})
         experiment = run_experiment(model, targets, 1, held_out_seed(seed), descriptor, n_jobs, extrapolate=True)
-    return _measures(experiment, descriptor, data, seed)
+    return measures(experiment, descriptor, data, seed)
 
 
-def _measures(experiment, descriptor, data, seed=0):
+def measures(experiment, descriptor, data, seed=0):
     """R², median error and shares of valid and of buildable structures, each with low and high, as a flat dict."""
     table = scores(experiment, descriptor, data, seed=seed).set_index("measure")
     row, of = {}, {"median error": f"median {get_descriptor(descriptor).error.name}"}

@@ -7,7 +7,8 @@ import pytest
 import yaml
 
 from inflate_lib import paths
-from inflate_lib.book.profiles import ProfileError, check_profile, declared_parameters, load_profile
+from inflate_lib.book.build import SECONDS
+from inflate_lib.book.profiles import BUDGET, ProfileError, check_profile, declared_parameters, load_profile
 from inflate_lib.book.run import find_notebooks
 from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
 from inflate_lib.diffusion import TrainingConfig
@@ -146,6 +147,15 @@ def test_notebook_defaults_are_the_edition(path):
     used = load_profile(EDITION).parameters(path)
     assert used.pop("profile") == EDITION
     assert used == declared | {name: None for name in ("source", "seed") if name in used}
+
+
+@pytest.mark.parametrize(("name", "minutes"), [("laptop", 8), ("ci", 5)])
+def test_budgets_keep_what_the_two_commands_promise(name, minutes):
+    """Two notebooks side by side, then the pages; the edition's minutes include the installation."""
+    budgets = load_profile(name).budgets(find_notebooks())
+    installation = 150 if name == "laptop" else 0
+    assert max(budgets.values()) <= BUDGET
+    assert sum(budgets.values()) / 2 + SECONDS + installation <= 60 * minutes
 
 
 def test_the_paper_profile_is_what_the_paper_prints():
