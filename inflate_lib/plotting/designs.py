@@ -9,8 +9,8 @@ from inflate_lib.descriptors.registry import registered
 from inflate_lib.mechanics import stress
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.plotting.mechanics import STRETCH_MAP
-from inflate_lib.plotting.structures import draw_inflated, draw_label, same_scale
-from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure, picture_axes
+from inflate_lib.plotting.structures import draw_pairs, row_width
+from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure
 
 
 def plot_designs(designs, columns=6, colour=None):
@@ -29,34 +29,35 @@ def plot_designs(designs, columns=6, colour=None):
     matplotlib.figure.Figure
     """
     columns = min(columns, max(1, len(designs.designs)))
-    rows = -(-max(1, len(designs.designs)) // columns)
-    width = max(6.0, TEXT_WIDTH * columns / 6)
-    fig, axes = figure(2 * rows, columns, width=width, height=6.6 * rows, height_ratios=[1, 1.5] * rows, squeeze=False)
-    for ax in axes.flat:
-        picture_axes(ax)
-    if not designs.designs:
-        axes[0, 0].set_title("no structure was found")
-        return fig
-    styles = [{}] * len(designs.designs)
+    rows = [designs.designs[start : start + columns] for start in range(0, len(designs.designs), columns)] or [[]]
+    wide = max(row_width([one.result for one in row]) for row in rows)
+    width, values = max(6.0, TEXT_WIDTH * columns / 6), {}
+    lines = 2 + max((len(one.deviations) for one in designs.designs), default=0)
+    tall = [0.4 * lines + 2.3 * width / max(wide, 1.0)] * len(rows)
+    fig, axes = figure(len(rows), 1, width=width, height=sum(tall), squeeze=False)
     if colour:
         function, label, at_rest = QUANTITIES[colour]
-        values = [getattr(stress, function)(one.result)[-1] for one in designs.designs]
-        norm = Normalize(at_rest, np.concatenate(values).max())
-        common = {"colour": None, "edge": "face", "norm": norm, "cmap": STRETCH_MAP}
-        styles = [common | {"array": array} for array in values]
-    for number, (one, style) in enumerate(zip(designs.designs, styles, strict=True)):
-        row, column = divmod(number, columns)
-        above, below = axes[2 * row, column], axes[2 * row + 1, column]
-        draw_label(above, one.label)
-        above.set_title(f"{number + 1}" + ("" if one.within else "  (missed)"), loc="left")
-        nodes = draw_inflated(below, one.result, ghost=False, **style)
-        _draw_targets(below, designs.targets, nodes)
-        misses = [f"{get_descriptor(name).symbol} {100 * value:.2f} %" for name, value in one.deviations.items()]
-        lines = [", ".join(misses[start : start + 2]) for start in range(0, len(misses), 2)]
-        below.set_xlabel("\n".join([*lines, f"σ/μ {one.shape.peak_stress / one.result.lame[1]:.2f}"]), fontsize=7)
-    same_scale(axes[1::2])
-    if colour:
-        fig.colorbar(ScalarMappable(norm, STRETCH_MAP), ax=axes[1::2], label=label, shrink=0.8, aspect=20)
+        values = {id(one): getattr(stress, function)(one.result)[-1] for row in rows for one in row}
+        top = max([at_rest + 1e-9, *(np.percentile(field, 99) for field in values.values())])  # one cell eats no scale
+        style = {"colour": None, "norm": Normalize(at_rest, top), "cmap": STRETCH_MAP, "outline": COLOURS.ink}
+    first = 1
+    for ax, row in zip(axes[:, 0], rows, strict=True):
+        styles = [style | {"array": values[id(one)]} for one in row] if colour else None
+        placed = draw_pairs(ax, [one.result for one in row], wide, columns, styles)
+        for number, (one, nodes) in enumerate(zip(row, placed, strict=True), first):
+            _draw_targets(ax, designs.targets, nodes)
+            middle = (nodes[:, 0].min() + nodes[:, 0].max()) / 2
+            words = f"{number}" + ("" if one.within else "  (missed)")
+            ax.text(middle, ax.get_ylim()[1], words, ha="center", va="bottom")
+            misses = [f"{get_descriptor(name).symbol} {100 * value:.2f} %" for name, value in one.deviations.items()]
+            words = "\n".join([*misses, f"σ/μ {one.shape.peak_stress / one.result.lame[1]:.2f}"])
+            ax.text(middle, ax.get_ylim()[0], words, ha="center", va="top", fontsize="small")
+        first += len(row)
+    if not designs.designs:
+        axes[0, 0].set_title("no structure was found")
+    elif colour:
+        scale = ScalarMappable(style["norm"], style["cmap"])
+        fig.colorbar(scale, ax=axes[:, 0], label=label, shrink=0.8, aspect=20, extend="max")
     return fig
 
 

@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
-from inflate_lib.plotting.style import COLOURS, LINE_STYLES, figure, picture_axes
+from inflate_lib.plotting.style import COLOURS, LINE_STYLES, figure, logarithmic, picture_axes
 
 if TYPE_CHECKING:
     from inflate_lib.diffusion.schedule import Schedule
-
-_FIVE_STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)))
 
 
 def _plot_strip(images, titles, low=0.0):
@@ -110,15 +108,17 @@ def plot_vlb_weights(weights: Mapping[str, np.ndarray], capped: float):
 
 
 def plot_losses(histories: Mapping[str, Mapping[str, list]]):
-    """Simple loss and variational term during training, for several models."""
-    fig, axes = figure(1, 2, height=6.0)
-    panels = (("simple", r"$L_{simple}$"), ("vlb", r"$L_{vlb}$ (nats per pixel)"))
-    for i, (name, history) in enumerate(histories.items()):
-        for ax, (key, _) in zip(axes, panels, strict=True):
-            ax.semilogy(history["step"], history[key], linestyle=_FIVE_STYLES[i % 5], label=name)
-    for ax, (_, label) in zip(axes, panels, strict=True):
-        ax.set(xlabel="training step", ylabel=label)
-    axes[0].legend()
+    """Simple loss and variational term during training, on logarithmic axes: a column for each model."""
+    fig, axes = figure(2, len(histories), height=8.0, sharex=True, sharey="row", squeeze=False)
+    for column, (name, history) in zip(axes.T, histories.items(), strict=True):
+        for ax, key in zip(column, ("simple", "vlb"), strict=True):
+            ax.plot(history["step"], history[key], color=COLOURS.wall, linewidth=0.9)
+            ax.grid(axis="y", color="#E6E6E6")
+        column[0].set_title(name)
+        column[1].set_xlabel("training step")
+    for ax, label in zip(axes[:, 0], ("$L_{simple}$", "$L_{vlb}$ (nats per pixel)"), strict=True):
+        ax.set_ylabel(label)
+        logarithmic(ax)
     return fig
 
 
@@ -140,15 +140,15 @@ def plot_answers(answers: Mapping[str, tuple]):
 
     ``answers`` maps a title to (wanted (n,), achieved (n,), function of wanted that was fitted).
     """
-    fig, axes = figure(1, len(answers), height=6.2, sharex=True, sharey=True, squeeze=False)
+    fig, axes = figure(1, len(answers), height=5.6, sharex=True, sharey=True, squeeze=False)
     for ax, (title, (wanted, achieved, fitted)) in zip(axes[0], answers.items(), strict=True):
         ends = np.array([wanted.min(), wanted.max()])
-        ax.plot(ends, ends, ":", color=COLOURS.wall, label="achieved = wanted")
+        ax.plot(ends, ends, ":", color=COLOURS.ink, label="achieved = wanted", zorder=3)
         ax.plot(wanted, achieved, "o", color=COLOURS.wall, markersize=2, alpha=0.5)
         ax.plot(ends, fitted(ends), "-", color=COLOURS.target, label="fit")
-        ax.set(title=title, xlabel="wanted")
+        ax.set(title=title, xlabel="wanted", aspect="equal")
     axes[0, 0].set(ylabel="achieved")
-    axes[0, 0].legend()
+    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return fig
 
 

@@ -2,20 +2,9 @@
 
 import numpy as np
 
-from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
-from inflate_lib.descriptors.registry import registered
+from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import errors
-from inflate_lib.plotting.style import COLOURS, figure, picture_axes
-
-# Markers and colours: of the paper's descriptors, then of all others in the order in which they were registered.
-_STYLES = (
-    ("o", COLOURS.wall),
-    ("^", COLOURS.target),
-    ("s", COLOURS.medium),
-    ("D", COLOURS.high),
-    ("v", COLOURS.ink),
-    ("P", COLOURS.low),
-)
+from inflate_lib.plotting.style import COLOURS, figure, logarithmic, picture_axes
 
 
 def plot_held_out(experiments):
@@ -123,10 +112,13 @@ def plot_baselines(table, unit):
             if method not in here.index:
                 continue
             row = here.loc[method]
-            colour = COLOURS.target if place == 0 else COLOURS.wall
-            ax.plot([row["low"], row["high"]], [place, place], color=colour, linewidth=2.2, alpha=0.6)
-            ax.plot(row["median"], place, "o", color=colour, markersize=5)
-        ax.set(title=name, xlabel=f"error ({unit[name]})", xlim=(0, None))
+            style = {"color": COLOURS.target, "marker": "D"} if place == 0 else {"color": COLOURS.wall, "marker": "o"}
+            ax.plot([row["low"], row["high"]], [place, place], color=style["color"], linewidth=2.2, alpha=0.6)
+            ax.plot(row["median"], place, markersize=5, clip_on=False, zorder=3, **style)
+            ax.annotate(f"{row['median']:.2g}", (row["high"], place), (6, 0), textcoords="offset points", va="center")
+        widest = here["high"].replace(np.inf, np.nan).max()
+        ax.set(title=name, xlabel=f"error ({unit[name]})", xlim=(-0.06 * widest, 1.5 * widest) if widest > 0 else None)
+        ax.spines["left"].set_position(("data", 0))
         ax.grid(axis="x", color="#E6E6E6")
     axes[0, 0].set_yticks(range(len(methods)), methods)
     axes[0, 0].invert_yaxis()
@@ -134,62 +126,64 @@ def plot_baselines(table, unit):
 
 
 def plot_selection(tables):
-    """Median error of the best of n candidates against n, and against the seconds that they take.
+    """Median error of the best of n candidates against n, one panel for each descriptor.
 
     Parameters
     ----------
     tables : Mapping
-        Descriptor → table of :func:`inflate_lib.alternatives.best_of.selection`. Solid marks: ranked by simulation;
-        hollow: by the surrogate.
+        Descriptor → table of :func:`inflate_lib.alternatives.best_of.selection`.
     """
-    panels = []
-    for error in dict.fromkeys(get_descriptor(name).error for name in tables):
-        label = f"median {error.noun} ({error.unit})"
-        shown = {name: table for name, table in tables.items() if get_descriptor(name).error is error}
-        panels.append((shown, "n", "candidates $n$", label))
-        if not any(get_descriptor(name).is_line for name in shown):
-            panels.append((shown, "seconds", "core seconds per target", label))
-    fig, axes = figure(1, len(panels), height=6.4, squeeze=False)
-    for ax, (shown, across, xlabel, ylabel) in zip(axes[0], panels, strict=True):
-        for name, table in shown.items():
-            marker, colour = _style(name)
-            for by, part in table.groupby("by"):
-                solid = by == "simulation"
-                part = part[np.isfinite(part["median"])]
-                ax.plot(part[across], part["median"], "-" if solid else ":", marker=marker, color=colour, markersize=4,
-                        markerfacecolor=colour if solid else "white", label=f"{name}, {by}")  # fmt: skip
-        if any(len(line.get_xdata()) for line in ax.lines):  # logarithms want something to scale to
-            ax.set(xscale="log", yscale="log")
-        ax.set(xlabel=xlabel, ylabel=ylabel)
-    handles = {}
-    for ax in axes[0]:
-        handles |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
-    fig.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5)
+    fig, axes = figure(1, len(tables), height=6.4, squeeze=False)
+    styles = {
+        "simulation": {"color": COLOURS.wall, "marker": "o", "label": "ranked by simulation"},
+        "surrogate": {"color": COLOURS.target, "marker": "^", "linestyle": ":", "label": "ranked by the surrogate"},
+    }
+    first = {}
+    for ax, (name, table) in zip(axes[0], tables.items(), strict=True):
+        one = get_descriptor(name)
+        for by, part in table[np.isfinite(table["median"])].groupby("by", sort=False):
+            ax.plot(part["n"], part["median"], markersize=4, **styles[by])
+        if one.error in first:
+            ax.sharey(first[one.error])
+            ax.tick_params(labelleft=False)
+        if len(ax.lines):  # logarithms want something to scale to
+            first.setdefault(one.error, ax)
+            logarithmic(ax)
+            ax.set_xticks([n for n in (1, 4, 16, 50) if n <= table["n"].max()])
+        ax.set(title=name, xlabel="candidates $n$")
+        if ax is first.get(one.error):
+            ax.set_ylabel(f"median {one.error.noun} ({one.error.unit})")
+    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return fig
 
 
 def plot_controls(table):
-    """Median error against processor time, with intervals; marks and fillings tell the controls apart without colour.
+    """Median error against processor time, with intervals: one panel for each kind of control.
 
     Parameters
     ----------
     table : pandas.DataFrame
         Columns control, seconds, median, median low, median high, as ``benchmarks/controls.py`` writes them.
     """
-    fig, ax = figure(1, 1, height=9.5)
-    for (name, rows), mark in zip(table.groupby("control", sort=False), "ov^sDPX*<>ph", strict=False):
-        refined, steered = name.startswith("pixel"), "surrogate" in name
-        colour = COLOURS.target if refined else COLOURS.medium if steered else COLOURS.wall
-        interval = np.abs(rows[["median low", "median high"]].to_numpy().T - rows["median"].to_numpy())
-        line = "none" if refined else ":" if steered else "--"  # refined ones differ in two efforts: no line
-        ax.errorbar(rows["seconds"], rows["median"], yerr=interval, color=colour, marker=mark, markersize=6,
-                    linestyle=line, elinewidth=0.8, linewidth=1.0, markerfacecolor=colour if refined else "white",
-                    label=name)  # fmt: skip
-    ax.set(xscale="log", yscale="log", xlabel="core seconds per target", ylabel="median error (%)")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_formatter("{x:g}")
-    ax.grid(which="major", color="#E6E6E6")
-    fig.legend(loc="outside right center")
+    kinds = {
+        "guidance and choice": ~table["control"].str.contains("surrogate|pixel"),
+        "with the surrogate": table["control"].str.contains("surrogate"),
+        "pixel by pixel": table["control"].str.startswith("pixel"),
+    }
+    fig, axes = figure(1, len(kinds), height=8.5, sharex=True, sharey=True)
+    looks = list(zip("osD^v", (COLOURS.wall, COLOURS.target, COLOURS.medium, COLOURS.high, COLOURS.ink), strict=True))
+    for ax, (kind, here) in zip(axes, kinds.items(), strict=True):
+        for (name, rows), (mark, colour) in zip(table[here].groupby("control", sort=False), looks, strict=False):
+            interval = np.abs(rows[["median low", "median high"]].to_numpy().T - rows["median"].to_numpy())
+            line = "none" if kind == "pixel by pixel" else "--"  # those differ in two efforts: no line
+            style = {"color": colour, "marker": mark, "markersize": 5, "linestyle": line, "linewidth": 1}
+            label = name.removeprefix(f"{kind}, ")
+            ax.errorbar(rows["seconds"], rows["median"], yerr=interval, elinewidth=0.8, label=label, **style)
+        ax.set(title=kind, xlabel="core seconds per target")
+        ax.grid(which="major", color="#E6E6E6")
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
+    axes[0].set_ylabel("median error (%)")
+    logarithmic(axes[0])
     return fig
 
 
@@ -213,11 +207,6 @@ def plot_surrogate(pairs):
         ax.set(title=f"{name} ${get_descriptor(name).symbol}$", xlabel="simulated", ylabel="predicted")
     axes[0].legend(loc="upper left")
     return fig
-
-
-def _style(descriptor):
-    order = list(dict.fromkeys([*DESCRIPTORS, *(one.name for one in registered())]))
-    return _STYLES[order.index(descriptor) % len(_STYLES)]
 
 
 def _distribution(ax, values):

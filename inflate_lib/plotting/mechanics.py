@@ -1,13 +1,16 @@
 """Pictures of the mechanics: meshes, load steps, verification, and the distributions of a simulated data set."""
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.animation import FuncAnimation
+from matplotlib.colors import ListedColormap
 
 from inflate_lib.descriptors.registry import basic
-from inflate_lib.plotting.structures import draw_clamped_edge, draw_inflated, draw_mesh
-from inflate_lib.plotting.style import COLOURS, HATCHES, figure, picture_axes
+from inflate_lib.plotting.structures import draw_clamped_edge, draw_inflated, draw_mesh, draw_shape
+from inflate_lib.plotting.style import COLOURS, TEXT_WIDTH, figure, picture_axes
 
-STRETCH_MAP = "cividis"  # reads the same in grey and with every colour-vision deficiency
+#: Light to dark, with every colour-vision deficiency and in grey; its lightest part would not be seen on white.
+STRETCH_MAP = ListedColormap(colormaps["YlGnBu"](np.linspace(0.2, 1, 256)))
 _SIZES = tuple(f"{one.title} ${one.symbol}$" for one in basic() if one.is_size)
 _HELD_FRAMES = 5  # of an animation, on its last state
 
@@ -33,8 +36,7 @@ def plot_mesh(mesh):
 def plot_load_steps(result, steps=(1, 3, 5, 7, 9)):
     """The structure before inflation and at some load steps (indices), with the undeformed shape behind."""
     fig, axes = figure(1, len(steps) + 1, height=4.0, sharex=True, sharey=True)
-    draw_mesh(axes[0], result.nodes, result.cells)
-    draw_clamped_edge(axes[0], result.mesh)
+    draw_shape(axes[0], result.mesh, result.nodes)
     axes[0].set_xlabel("$t$ = 0")
     for ax, step in zip(axes[1:], steps, strict=True):
         draw_inflated(ax, result, step)
@@ -63,9 +65,9 @@ def plot_field(results, values, titles, label):
     axes = axes[0]
     low, high = np.percentile(np.concatenate(values), [1, 99])  # a single cell must not eat the whole scale
     for ax, result, field, title in zip(axes, results, values, titles, strict=True):
-        cells = draw_mesh(ax, result.deformed(), result.cells, colour=None, edge="face", array=field, cmap=STRETCH_MAP)
+        style = {"colour": None, "array": field, "cmap": STRETCH_MAP, "outline": COLOURS.ink}
+        cells = draw_shape(ax, result.mesh, result.deformed(), **style)
         cells.set_clim(low, high)
-        draw_clamped_edge(ax, result.mesh)
         ax.set_title(title)
     _fit(axes, np.concatenate([result.deformed() for result in results]))
     fig.colorbar(cells, ax=axes, label=label, shrink=0.8, aspect=30, extend="both")
@@ -106,7 +108,7 @@ def plot_distributions(data):
     fig, axes = figure(1, len(sizes) + 1, height=5.0)
     for ax, one in zip(axes, sizes, strict=False):
         values = data[one.variable].values[data.converged.values]
-        ax.hist(values, 40, color=COLOURS.wall, hatch=HATCHES[0], edgecolor="white", linewidth=0.3)
+        ax.hist(values, 40, color=COLOURS.wall, edgecolor="white", linewidth=0.3)
         ax.axvline(values.mean(), color=COLOURS.target, linestyle="--", linewidth=1.2)
         ax.set_title(f"mean {values.mean():.3f}", color=COLOURS.target)
         ax.set_xlabel(f"{one.title} ${one.symbol}$")
@@ -119,16 +121,17 @@ def plot_distributions(data):
 
 def plot_inflated_gallery(results, titles, columns=6):
     """Inflated structures over their undeformed selves, on one common scale."""
+    points = np.concatenate([np.zeros((1, 2)), *(np.vstack([one.nodes, one.deformed()]) for one in results)])
+    wide, high = np.ptp(points, axis=0) + 0.1
     rows = max(1, -(-len(results) // columns))
-    fig, axes = figure(rows, columns, height=3.6 * rows, sharex=True, sharey=True, squeeze=False)
+    height = rows * (TEXT_WIDTH / columns * high / wide + 0.7)
+    fig, axes = figure(rows, columns, height=height, sharex=True, sharey=True, squeeze=False)
     for ax in axes.flat:
         picture_axes(ax)
-    if not results:
-        return fig
     for ax, result, title in zip(axes.flat, results, titles, strict=False):
         draw_inflated(ax, result)
-        ax.set_title(title, fontsize=8)
-    _fit(axes.flat, np.concatenate([np.concatenate([result.nodes, result.deformed()]) for result in results]))
+        ax.set_title(title)
+    _fit(axes.flat, points)
     return fig
 
 
@@ -185,8 +188,8 @@ def _when(result, step):
 
 def _draw_coloured(ax, result, values, step):
     """One load step over the undeformed shape, coloured cell by cell on a scale that one cell cannot eat."""
-    draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.ghost, edge="face", alpha=0.35)
+    draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.ghost, alpha=0.5)
     nodes = result.deformed(step)
-    cells = draw_mesh(ax, nodes, result.cells, colour=None, edge="face", array=values[step], cmap=STRETCH_MAP)
+    cells = draw_mesh(ax, nodes, result.cells, colour=None, array=values[step], cmap=STRETCH_MAP)
     cells.set_clim(*np.percentile(values[step], [1, 99]))
     return cells

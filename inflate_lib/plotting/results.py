@@ -4,17 +4,20 @@ import string
 
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.stats import gaussian_kde
 
 from inflate_lib.descriptors import describe, descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.shape import place_axis
 from inflate_lib.mechanics.inflation import inflate
-from inflate_lib.plotting.structures import draw_axis, draw_inflated, draw_label, same_scale
-from inflate_lib.plotting.style import COLOURS, LEVELS, MARKERS, TEXT_WIDTH, figure, picture_axes
+from inflate_lib.plotting.structures import draw_axis, draw_pairs, row_width
+from inflate_lib.plotting.style import COLOURS, LEVELS, MARKERS, figure
+
+_PAIR_WIDTH, _ACHIEVED_WIDTH = 2.4, 5.0  # cm: of a structure in Figs. 7 to 11, and of what stands to the right of them
 
 
 def plot_generated(experiment, descriptor, n_show=5):
-    """Figs. 7 to 10: for each target the first `n_show` valid structures, undeformed above and inflated below with
-    the target drawn in; on the right the distribution of all that were generated.
+    """Figs. 7 to 11: for each target the first `n_show` valid structures, undeformed above and inflated below with
+    the target drawn in, all on one scale; on the right what all that were generated have achieved.
 
     Parameters
     ----------
@@ -27,75 +30,35 @@ def plot_generated(experiment, descriptor, n_show=5):
     -------
     matplotlib.figure.Figure
     """
-    level = experiment["level"].values
+    one, level = get_descriptor(descriptor), experiment["level"].values
     levels = np.unique(level)
-    fig = plt.figure(figsize=(TEXT_WIDTH / 2.54, 5.0 * len(levels) / 2.54))
-    pictures, distribution = fig.subfigures(1, 2, width_ratios=[n_show, 1.9])
-    axes = pictures.subplots(2 * len(levels), n_show, height_ratios=[0.9, 1] * len(levels), squeeze=False)
-    one = get_descriptor(descriptor)
-    for k in levels:
+    shown = [_first_valid(experiment, k, n_show) for k in levels]
+    results = [[inflate(label.astype(float)) for label in experiment["label"].values[rows]] for rows in shown]
+    wide = max(map(row_width, results))
+    side = _PAIR_WIDTH * n_show / max(wide, 1.0)  # cm of a side of the frame
+    tall = [1.2 + side * (1.08 + max((float(np.ptp(r.deformed()[:, 1])) for r in row), default=0.0)) for row in results]
+    fig = plt.figure(figsize=((_PAIR_WIDTH * n_show + _ACHIEVED_WIDTH) / 2.54, sum(tall) / 2.54))
+    pictures, achieved = fig.subfigures(1, 2, width_ratios=[_PAIR_WIDTH * n_show, _ACHIEVED_WIDTH])
+    axes = pictures.subplots(len(levels), 1, height_ratios=tall, squeeze=False)[:, 0]
+    reached = descriptor_matrix(experiment, descriptor)
+    for ax, k, rows, row in zip(axes, levels, shown, results, strict=True):
         target = experiment["target"].values[level == k][0]
-        for column, row in enumerate(_first_valid(experiment, k, n_show)):
-            above, below = axes[2 * k, column], axes[2 * k + 1, column]
-            if row is None:
-                picture_axes(above), picture_axes(below)
-                continue
-            label = experiment["label"].values[row].astype(float)
-            draw_label(above, label)
-            deformed = draw_inflated(below, inflate(label), ghost=False)
+        for number, result, nodes in zip(rows, row, draw_pairs(ax, row, wide, n_show), strict=True):
+            if one.is_line:
+                draw_axis(ax, place_axis(describe(result).medial_axis, nodes), colour=COLOURS.ink, size=1.8)
             if one.draw is not None:
-                one.draw(below, target, deformed, color=COLOURS.target, linewidth=1.3, zorder=4)
-            achieved = descriptor_matrix(experiment, descriptor)[row]
-            below.set_xlabel(_words(achieved))
-        first = axes[2 * k, 0]
-        first.set_title(" ")  # makes room for the line below, which is wider than its column
-        line = f"({string.ascii_lowercase[k]}) target ${one.symbol}$" + f" = {_words(target)}" * (len(target) <= 2)
-        first.text(0, 1.06, line, transform=first.transAxes, fontsize="medium").set_in_layout(False)
-    same_scale(axes[1::2])
-    _plot_achieved(distribution.subplots(), experiment, one)
-    return fig
-
-
-def plot_generated_axes(experiment, n_show=3):
-    """Fig. 11: for each target axis the first `n_show` valid structures, undeformed and inflated, with both axes.
-
-    Parameters
-    ----------
-    experiment : xarray.Dataset
-        Of the medial axis.
-    n_show : int
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
-    level = experiment["level"].values
-    levels = np.unique(level)
-    fig, axes = figure(len(levels), 2 * n_show, width=TEXT_WIDTH, height=3.6 * len(levels), squeeze=False)
-    for k in levels:
-        target = experiment["target"].values[level == k][0].reshape(-1, 2)
-        for column, row in enumerate(_first_valid(experiment, k, n_show)):
-            left, right = axes[k, 2 * column], axes[k, 2 * column + 1]
-            if row is None:
-                picture_axes(left), picture_axes(right)
-                continue
-            label = experiment["label"].values[row].astype(float)
-            draw_label(left, label)
-            result = inflate(label)
-            deformed = draw_inflated(right, result, ghost=False)
-            right.collections[0].set_alpha(0.45)
-            draw_axis(right, place_axis(describe(result).medial_axis, deformed), colour=COLOURS.ink, size=2.0)
-            right.plot(*place_axis(target, deformed).T, color=COLOURS.target, linestyle="--", linewidth=1.6, zorder=4)
-        axes[k, 0].set_title(f"axis {k + 1}", loc="left")
-    same_scale(axes[:, 1::2])
-    axes[0, 1].plot([], [], "o-", color=COLOURS.ink, markersize=2, label="achieved")
-    axes[0, 1].plot([], [], "--", color=COLOURS.target, label="target")
-    fig.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+                one.draw(ax, target, nodes, color=COLOURS.target, linewidth=1.3, zorder=4)
+            words = _words(reached[number]) or _error(one, reached[number], target)
+            middle = (nodes[:, 0].min() + nodes[:, 0].max()) / 2
+            ax.text(middle, ax.get_ylim()[0], words, ha="center", va="top", fontsize="small")
+        line = f"({string.ascii_lowercase[k]}) target ${one.symbol}$"
+        ax.set_title(line + (f" = {_words(target)}" if len(target) <= 2 else f" {k + 1}"), loc="left")
+    _plot_achieved(achieved, experiment, one, string.ascii_lowercase[len(levels)])
     return fig
 
 
 def plot_axis_density(experiment):
-    """Fig. 12: normalised density of the points of all achieved medial axes, one panel per target, the target on top.
+    """Fig. 12: density of the points of all achieved medial axes, one panel per target, the target on top; x stretched.
 
     Parameters
     ----------
@@ -106,27 +69,26 @@ def plot_axis_density(experiment):
     -------
     matplotlib.figure.Figure
     """
-    import seaborn as sns  # which the figures of the book alone need
-
     level, valid = experiment["level"].values, experiment["valid"].values
     levels = np.unique(level)
     achieved = experiment["medial_axis"].values
     everything = np.concatenate([achieved[valid].reshape(-1, 2), experiment["target"].values.reshape(-1, 2)])
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    half = 1.1 * np.abs([low[0], high[0]]).max()
-    fig, axes = figure(1, len(levels), width=13.0, height=8.5, sharey=True, squeeze=False)
+    half, high = 1.1 * np.abs(everything).max(axis=0)
+    x, y = np.meshgrid(np.linspace(-half, half, 81), np.linspace(-0.05, high, 121))
+    fig, axes = figure(1, len(levels), height=8.5, sharex=True, sharey=True, squeeze=False)
     for k, ax in zip(levels, axes[0], strict=True):
         points = achieved[valid & (level == k)][:, 1:].reshape(-1, 2)  # the first point is the origin by definition
+        density = np.zeros_like(x)
         if len(points):
-            x, y = points.T
-            sns.kdeplot(x=x, y=y, ax=ax, fill=True, cmap="Blues", levels=10, thresh=0.05, bw_adjust=0.6)
+            density = gaussian_kde(points.T, 0.6 * len(points) ** (-1 / 6))([x.ravel(), y.ravel()]).reshape(x.shape)
+            density /= density.max()
+        filled = ax.contourf(x, y, density, np.linspace(0.1, 1, 10), cmap="Blues")
         target = experiment["target"].values[level == k][0].reshape(-1, 2)
-        ax.plot(*target.T, "o-", color=COLOURS.target, markersize=2.5, linewidth=1.0, label="target")
-        ax.set(xlabel="$x$", xlim=(-half, half), ylim=(-0.05, 1.05 * high[1]), title=f"axis {k + 1}")
-        ax.set_aspect("equal")
-        ax.set_xticks([0])  # the panels are too narrow for more; the scale is that of y
+        ax.plot(*target.T, "--", color=COLOURS.target, linewidth=1.0, label="target")
+        ax.set(xlabel="$x$ (stretched)", title=f"axis {k + 1}")
     axes[0, 0].set_ylabel("$y$")
     axes[0, 0].legend(loc="upper left")
+    fig.colorbar(filled, ax=axes, label="density / its maximum", aspect=30)
     return fig
 
 
@@ -155,9 +117,8 @@ def plot_agreement(experiments):
 
 
 def _first_valid(experiment, level, n):
-    """Row numbers of the first n valid structures of a target, None where there are fewer."""
-    rows = np.flatnonzero((experiment["level"].values == level) & experiment["valid"].values)[:n].tolist()
-    return rows + [None] * (n - len(rows))
+    """Row numbers of the first n valid structures of a target, fewer where there are fewer."""
+    return np.flatnonzero((experiment["level"].values == level) & experiment["valid"].values)[:n].tolist()
 
 
 def _words(values):
@@ -165,40 +126,65 @@ def _words(values):
     return ", ".join(f"{value:.3f}" for value in values) if len(values) <= 2 else ""
 
 
-def _plot_achieved(ax, experiment, descriptor):
-    """Distribution of what was achieved, by target: of two components in their plane, of more only the error."""
+def _error(descriptor, achieved, target):
+    """How far one structure is from its target, in words."""
+    error = descriptor.error
+    return f"{error.factor * error.of(achieved[None], target[None])[0]:.2f} {error.unit}"
+
+
+def _plot_achieved(fig, experiment, descriptor, letter):
+    """What was achieved, by target: axes with x stretched; of two components their plane; of more the error."""
     level, valid = experiment["level"].values, experiment["valid"].values
     achieved, target = descriptor_matrix(experiment, descriptor.name), experiment["target"].values
-    if descriptor.length == 2:
-        for k in np.unique(level):
-            here = valid & (level == k)
-            h, w = achieved[here].T
-            ax.plot(w, h, MARKERS[k], color=LEVELS[k], markersize=3.5, markeredgecolor="white", markeredgewidth=0.3)
-            h, w = target[level == k][0]
-            ax.plot(w, h, MARKERS[k], color=LEVELS[k], markersize=9, markeredgecolor=COLOURS.ink, markeredgewidth=1.4)
-            ax.plot(w, h, "+", color=COLOURS.ink, markersize=9)
-        up, across = descriptor.components
-        labels = {"xlabel": f"achieved ${across}$", "ylabel": f"achieved ${up}$"}
-        ax.set(**labels, title="(d) all valid structures; large: target")
+    levels = np.unique(level)
+    targets = [target[level == k][0] for k in levels]
+    reached = [achieved[valid & (level == k)] for k in levels]
+    if descriptor.is_line or descriptor.length == 2:
+        draw = _draw_axes if descriptor.is_line else _draw_plane
+        axes = fig.subplots(len(levels), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+        for k, ax in enumerate(axes):
+            draw(ax, k, reached, targets[k], descriptor)
+        what = "axes, x stretched" if descriptor.is_line else "all valid structures"
+        axes[0].set_title(f"({letter}) {what}")
+        axes[-1].set_xlabel("$x$" if descriptor.is_line else f"achieved ${descriptor.components[1]}$")
+        axes[0].legend(loc="upper left", handlelength=1.4, borderaxespad=0)
         return
-    error = descriptor.error
-    values = achieved[:, 0] if descriptor.length == 1 else error.factor * error.of(achieved, target)
-    for k in np.unique(level):
-        reached = values[valid & (level == k)]
-        if len(reached) > 1:
-            body = ax.violinplot(reached, [k], widths=0.85, showextrema=False)["bodies"][0]
+    ax, error = fig.subplots(), descriptor.error
+    for k, (values, wanted) in enumerate(zip(reached, targets, strict=True)):
+        scalar = descriptor.length == 1
+        values = values[:, 0] if scalar else error.factor * error.of(values, np.tile(wanted, (len(values), 1)))
+        if len(values) > 1:
+            body = ax.violinplot(values, [k], widths=0.85, showextrema=False)["bodies"][0]
             body.set(facecolor=LEVELS[k], alpha=0.35)
-        sideways = np.random.default_rng(0).uniform(-0.14, 0.14, len(reached))
-        ax.plot(k + sideways, reached, MARKERS[k], color=LEVELS[k], markersize=2.8, markeredgecolor=COLOURS.ink,
-                markeredgewidth=0.25)  # fmt: skip
-        if descriptor.length == 1:
-            ax.plot(
-                [k - 0.45, k + 0.45], [target[level == k][0, 0]] * 2, color=COLOURS.target, linestyle="--", zorder=4
-            )
+        sideways = np.random.default_rng(0).uniform(-0.14, 0.14, len(values))
+        style = {"color": LEVELS[k], "markeredgecolor": COLOURS.ink, "markeredgewidth": 0.25}
+        ax.plot(k + sideways, values, MARKERS[k], markersize=2.8, **style)
+        if scalar:
+            ax.plot([k - 0.45, k + 0.45], [wanted[0]] * 2, color=COLOURS.target, linestyle="--", zorder=4)
     symbol = descriptor.symbol
-    ax.set(xlabel=f"target ${symbol}$", ylabel=f"achieved ${symbol}$", title="(d) all valid structures")
+    ax.set(xlabel=f"target ${symbol}$", ylabel=f"achieved ${symbol}$", title=f"({letter}) all valid structures")
     if descriptor.length == 1:
-        ax.set_xticks(np.unique(level), [f"{target[level == k][0, 0]:.3f}" for k in np.unique(level)])
+        ax.set_xticks(range(len(targets)), [f"{wanted[0]:.3f}" for wanted in targets])
     else:
-        ax.set_xticks(np.unique(level), [f"{k + 1}" for k in np.unique(level)])
+        ax.set_xticks(range(len(targets)), [f"{k + 1}" for k in levels])
         ax.set_ylabel(f"{error.noun} ({error.unit})")
+
+
+def _draw_plane(ax, k, reached, target, descriptor):
+    """Structures of target number `k` in the plane of two components, those of the other targets in grey."""
+    for number, values in enumerate(reached):
+        here = number == k
+        look = {"color": LEVELS[number], "markeredgecolor": COLOURS.ink} if here else {"color": "#D9D9D9"}
+        ax.plot(*values.T[::-1], MARKERS[number], markersize=3.2, markeredgewidth=0.25, zorder=1 + here, **look)
+    ax.plot(*target[::-1], "+", color=COLOURS.target, markersize=11, markeredgewidth=1.6, label="target", zorder=3)
+    up = descriptor.components[0]
+    ax.set(ylabel=f"achieved ${up}$", aspect="equal")
+
+
+def _draw_axes(ax, k, reached, target, descriptor):
+    """All axes achieved for target number `k`, with x stretched."""
+    for values in reached[k]:
+        ax.plot(*values.reshape(-1, 2).T, color=COLOURS.wall, linewidth=0.5, alpha=0.4)
+    ax.plot([], [], color=COLOURS.wall, linewidth=0.8, label="achieved")
+    ax.plot(*target.reshape(-1, 2).T, color=COLOURS.target, linestyle="--", label="target")
+    ax.set(ylabel="$y$")

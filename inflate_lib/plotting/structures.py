@@ -11,13 +11,16 @@ from scipy.spatial import ConvexHull
 
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.descriptors.shape import axis_height, place_axis
-from inflate_lib.plotting.style import COLOURS, HATCHES, LEVELS, LINE_STYLES, MARKERS, figure, picture_axes
+from inflate_lib.mechanics.mesh import boundary_loops
+from inflate_lib.plotting.style import COLOURS, LEVELS, MARKERS, TEXT_WIDTH, figure, picture_axes
 
 _LABEL_COLOURS = ListedColormap(["white", COLOURS.wall, COLOURS.void])
 _LEVEL_NAMES = ("low", "medium", "high")
+_ABOVE = {"loc": "lower left", "bbox_to_anchor": (-0.14, 1), "ncols": 3, "handlelength": 0.9, "columnspacing": 0.9,
+          "handletextpad": 0.4, "borderaxespad": 0.1}  # fmt: skip
 
 
-def draw_mesh(ax, nodes, cells, *, colour=COLOURS.wall, edge="white", linewidth=0.2, **style):
+def draw_mesh(ax, nodes, cells, *, colour=COLOURS.wall, edge="face", linewidth=0.4, **style):
     """Draw the quadrilaterals ``cells`` (m, 4) of ``nodes`` (n, 2) into a bare frame; returns the collection."""
     polygons = PolyCollection(nodes[cells], facecolors=colour, edgecolors=edge, linewidths=linewidth, **style)
     picture_axes(ax).add_collection(polygons, autolim=True)
@@ -25,39 +28,89 @@ def draw_mesh(ax, nodes, cells, *, colour=COLOURS.wall, edge="white", linewidth=
     return polygons
 
 
+def draw_shape(ax, mesh, nodes, *, outline=None, **style):
+    """A structure whose mesh has its nodes at `nodes` (n, 2): light cavity, wall, clamped edge.
+
+    `outline` is the colour of a thin line around the wall, none by default; `style` is that of :func:`draw_mesh`.
+    """
+    pressed = {frozenset(edge) for edge in mesh.pressure_edges.tolist()}
+    borders = boundary_loops(mesh.cells)
+    cavity = [nodes[loop] for loop in borders if frozenset(loop[:2].tolist()) in pressed]
+    ax.add_collection(PolyCollection(cavity, facecolors=COLOURS.void, linewidths=0, zorder=0.4))
+    cells = draw_mesh(ax, nodes, mesh.cells, **style)
+    if outline:
+        lines = [nodes[loop] for loop in borders]
+        ax.add_collection(PolyCollection(lines, facecolors="none", edgecolors=outline, linewidths=0.35, zorder=1.5))
+    draw_clamped_edge(ax, mesh, nodes)
+    return cells
+
+
 def draw_inflated(ax, result, step=-1, ghost=True, **style):
     """The structure at a load step (the last one by default), over a grey ghost of the undeformed one.
 
-    `style` is that of :func:`draw_mesh`.
+    `style` is that of :func:`draw_shape`. Returns the deformed nodes.
     """
     if ghost:
-        draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.ghost, edge="face", alpha=0.35, zorder=0)
+        draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.ghost, alpha=0.5, zorder=0.5)
     deformed = result.deformed(step)
-    draw_mesh(ax, deformed, result.cells, **style)
-    draw_clamped_edge(ax, result.mesh)
+    draw_shape(ax, result.mesh, deformed, **style)
     return deformed
 
 
-def same_scale(axes, room=0.06):
-    """Give pictures one scale, by which whatever is drawn in any of them has its place, and some room around it."""
-    drawn = [ax for ax in np.ravel(axes) if ax.has_data()]
-    if not drawn:
-        return
-    wide, low = max(ax.dataLim.width for ax in drawn) + room, min(ax.dataLim.y0 for ax in drawn) - room
-    high = max(ax.dataLim.y1 for ax in drawn) + room
-    for ax in drawn:
-        middle = (ax.dataLim.x0 + ax.dataLim.x1) / 2
-        ax.set(xlim=(middle - wide / 2, middle + wide / 2), ylim=(low, high))
+def draw_pairs(ax, results, wide=0.0, columns=0, styles=None):
+    """Structures in a row on one scale: undeformed above, inflated below, each pair in a column as wide as it must be.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    results : sequence of inflate_lib.Inflation
+    wide : float, optional
+        Width of the row in frame sides, if it is to be wider than its columns.
+    columns : int, optional
+        How many structures share that width, if there are fewer here.
+    styles : sequence of dict, optional
+        For each inflated structure that of :func:`draw_shape`.
+
+    Returns
+    -------
+    list of (n, 2) arrays
+        The nodes of the inflated structures where they were drawn. Undeformed ones stand on y = 0.
+    """
+    room = max(wide, row_width(results)) - row_width(results)
+    drop = 0.12 + max((result.deformed()[:, 1].max() for result in results), default=0.0)
+    left, placed = 0.0, []
+    for result, style in zip(results, styles or [{}] * len(results), strict=True):
+        width = _pair_width(result) + room / max(columns, len(results))
+        for nodes, low, look in ((result.nodes, 0.0, {}), (result.deformed(), drop, style)):
+            middle = (nodes[:, 0].min() + nodes[:, 0].max()) / 2
+            nodes = nodes + [left + width / 2 - middle, -low]
+            draw_shape(ax, result.mesh, nodes, **look)
+        placed.append(nodes)
+        left += width
+    low = min((nodes[:, 1].min() for nodes in placed), default=0.0)
+    high = max((result.nodes[:, 1].max() for result in results), default=0.0)
+    picture_axes(ax).set(xlim=(0, max(wide, left, 1.0)), ylim=(low - 0.06, high + 0.04))
+    return placed
 
 
-def draw_clamped_edge(ax, mesh):
+def row_width(results):
+    """How wide the row of :func:`draw_pairs` is at least, in frame sides."""
+    return sum(map(_pair_width, results))
+
+
+def _pair_width(result):
+    return 0.16 + max(np.ptp(result.nodes[:, 0]), np.ptp(result.deformed()[:, 0]))
+
+
+def draw_clamped_edge(ax, mesh, nodes=None):
     """The clamped edge: a thick line along the nodes that are held, hatched like a wall on its far side."""
-    held = mesh.nodes[mesh.clamped]
+    nodes = mesh.nodes if nodes is None else nodes
+    held = nodes[mesh.clamped]
     start, end = held.min(axis=0), held.max(axis=0)
     normal = np.argmin(end - start)  # 0 where the edge runs upwards, 1 where it runs sideways
     corner, size = start.copy(), end - start
     size[normal] = 0.03
-    if start[normal] < mesh.nodes[:, normal].mean():
+    if start[normal] < nodes[:, normal].mean():
         corner[normal] -= 0.03
     ax.add_patch(Rectangle(corner, *size, facecolor="white", edgecolor=COLOURS.ink, hatch="//////", linewidth=0))
     ax.plot(*zip(start, end, strict=True), color=COLOURS.ink, linewidth=1.2, solid_capstyle="butt", zorder=3)
@@ -152,13 +205,16 @@ def plot_descriptors(result, description):
 
 
 def plot_medial_axes(results, descriptions):
-    """How medial axes come about: the hull of each inflated structure, some of its chords, and their midpoints."""
-    fig, axes = figure(1, len(results), height=17 / len(results) * 1.25, squeeze=False)
-    top = max(description.height for description in descriptions)
-    widest = max(description.width for description in descriptions)
-    for ax, result, description in zip(axes[0], results, descriptions, strict=True):
-        draw_inflated(ax, result, ghost=False)
-        deformed = result.deformed()
+    """How medial axes come about: above, the hull of each inflated structure, some of its chords and their midpoints;
+    below, the midpoints alone, with x stretched."""
+    tallest = max(description.height for description in descriptions)
+    widths = [0.1 + description.width for description in descriptions]
+    tall = TEXT_WIDTH * (tallest + 0.1) / sum(widths)
+    fig, axes = figure(
+        2, len(results), height=tall + 4.2, height_ratios=[tall, 3.4], width_ratios=widths, sharey="row", squeeze=False
+    )
+    for (ax, stretched), result, description in zip(axes.T, results, descriptions, strict=True):
+        deformed = draw_inflated(ax, result, ghost=False)
         hull = deformed[ConvexHull(deformed).vertices]
         ax.fill(*hull.T, fill=False, edgecolor=COLOURS.target, linewidth=0.9, linestyle="--")
         points = place_axis(description.medial_axis, hull)
@@ -166,8 +222,16 @@ def plot_medial_axes(results, descriptions):
             half = _half_chord(hull, y, x)
             ax.plot([x - half, x + half], [y, y], color=COLOURS.ink, linewidth=0.6)
         draw_axis(ax, points)
-        centre = (deformed[:, 0].min() + deformed[:, 0].max()) / 2
-        ax.set(xlim=(centre - 0.52 * widest, centre + 0.52 * widest), ylim=(-0.08, 1.02 * top))
+        draw_axis(stretched, description.medial_axis)
+        stretched.set_xlabel("$x$")
+    widest = 1.1 * max(np.abs(description.medial_axis[:, 0]).max() for description in descriptions)
+    axes[0, 0].set_ylim(-0.08, 1.02 * tallest)
+    for ax in axes[1]:
+        ax.set_xlim(-widest, widest)
+        ax.locator_params(axis="x", nbins=2)
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.axvline(0, color=COLOURS.ghost, linewidth=0.6, zorder=0)
+    axes[1, 0].set_ylabel("$y$")
     return fig
 
 
@@ -220,21 +284,19 @@ def plot_clusters(matrices, clusters):
     :class:`inflate_lib.experiments.targets.Clusters`. The outermost two structures in a thousand lie beyond the limits
     of the panels.
     """
-    fig, axes = figure(1, len(clusters), height=6.0)
-    for ax, letter, name in zip(axes, "abcdefgh", clusters, strict=False):
+    fig, axes = figure(-(-len(clusters) // 2), 2, height=5.0 * -(-len(clusters) // 2), squeeze=False)
+    for ax, letter, name in zip(axes.flat, "abcdefgh", clusters, strict=False):
         *above, across = (get_descriptor(part) for part in get_descriptor(name).parts)
         draw = _cluster_scatter if above else _cluster_histogram
         draw(ax, matrices[name], clusters[name])
-        ax.set_xlabel(f"{across.title} ${across.symbol}$\n({letter})")
-        for one in above:
-            ax.set_ylabel(f"{one.title} ${one.symbol}$")
-    axes[0].set_ylabel("structures")
+        ax.set_xlabel(f"({letter}) {across.title} ${across.symbol}$")
+        ax.set_ylabel(f"{above[0].title} ${above[0].symbol}$" if above else "structures")
     return fig
 
 
 def plot_chosen_axes(axes, chosen):
     """All medial axes, (n, 30, 2), as a faint cloud with the chosen ones on top; and size against shape of them all."""
-    fig, (cloud, plane) = figure(1, 2, width=14, height=7.5, width_ratios=[1, 1.6])
+    fig, (cloud, plane) = figure(1, 2, width=14, height=7.5)
     for axis in axes[:: max(1, len(axes) // 400)]:
         cloud.plot(*axis.T, color=COLOURS.ghost, linewidth=0.4, alpha=0.3)
     height = axis_height(axes)
@@ -244,33 +306,30 @@ def plot_chosen_axes(axes, chosen):
         style = {"marker": MARKERS[number], "color": LEVELS[number], "markeredgecolor": COLOURS.ink}
         cloud.plot(*axes[row].T, markersize=3.5, markeredgewidth=0.4, linewidth=0.8, **style)
         plane.plot(lean[row], height[row], linestyle="none", markersize=8, label=f"axis {number + 1}", **style)
-    cloud.set_aspect("equal")
-    cloud.set(xlabel="$x$", ylabel="$y$", xlim=(-0.3, 0.3))
+    cloud.set(xlabel="$x$ (stretched)", ylabel="$y$", xlim=(-0.3, 0.3))
     plane.set(xlabel="mean of $x$, in units of the height", ylabel="height $h$", xlim=_middle(lean))
     plane.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3)
     return fig
 
 
 def _cluster_histogram(ax, values, clusters):
-    edges = np.histogram_bin_edges(values, 40, range=_middle(values))
-    for level, colour in enumerate(LEVELS):
-        members = values[clusters.labels == level, 0]
-        ax.hist(members, edges, color=colour, hatch=HATCHES[level], edgecolor="white", linewidth=0)
-    for level, centroid in enumerate(clusters.centroids[:, 0]):
-        ax.axvline(centroid, color=COLOURS.ink, linestyle=LINE_STYLES[level], linewidth=1.2,
-                   label=f"{_LEVEL_NAMES[level]}: {centroid:.3f}")  # fmt: skip
-    ax.legend(loc="lower left", bbox_to_anchor=(0, 1), handlelength=1.8, borderaxespad=0.2)
+    members = [values[clusters.labels == level, 0] for level in range(len(LEVELS))]
+    centroids = clusters.centroids[:, 0]
+    labels = [f"{name}: {centroid:.3f}" for name, centroid in zip(_LEVEL_NAMES, centroids, strict=True)]
+    ax.hist(members, 40, range=_middle(values), stacked=True, color=LEVELS, label=labels)
+    for centroid in centroids:
+        ax.axvline(centroid, color=COLOURS.ink, linewidth=1.0)
+    ax.legend(**_ABOVE)
 
 
 def _cluster_scatter(ax, values, clusters):
     for level, (h, w) in enumerate(clusters.centroids):
-        members = values[clusters.labels == level]
-        ax.plot(members[:, 1], members[:, 0], MARKERS[level], color=LEVELS[level], markersize=1.2,
-                markeredgewidth=0, rasterized=True)  # fmt: skip
-        ax.plot(w, h, MARKERS[level], color=LEVELS[level], markersize=7, markeredgecolor=COLOURS.ink, zorder=3,
-                label=f"({h:.3f}, {w:.3f})")  # fmt: skip
+        members, style = values[clusters.labels == level], {"color": LEVELS[level], "marker": MARKERS[level]}
+        ax.plot(*members.T[::-1], linestyle="none", markersize=1.5, markeredgewidth=0, rasterized=True, **style)
+        style |= {"markeredgecolor": COLOURS.ink, "label": f"({h:.3f}, {w:.3f})"}
+        ax.plot(w, h, linestyle="none", markersize=7, zorder=3, **style)
     ax.set(xlim=_middle(values[:, 1]), ylim=_middle(values[:, 0]))
-    ax.legend(loc="lower left", bbox_to_anchor=(0, 1), handlelength=1.2, borderaxespad=0.2)
+    ax.legend(**_ABOVE)
 
 
 def _middle(values):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
+from matplotlib.ticker import LogLocator, NullFormatter
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,11 +26,10 @@ COLOURS = SimpleNamespace(
     ink="#222222",
 )
 
-#: Colours of the three targets of a descriptor, with line styles and hatches that survive black-and-white printing.
+#: Colours of the three targets of a descriptor, with line styles and marks that survive black-and-white printing.
 LEVELS = (COLOURS.low, COLOURS.medium, COLOURS.high)
 LINE_STYLES = ("-", "--", ":")
 MARKERS = ("o", "^", "s")
-HATCHES = ("", "//", "xx")
 
 TEXT_WIDTH = 17.0  # cm
 
@@ -95,3 +95,14 @@ def picture_axes(ax):
     ax.set_yticks([])
     ax.spines[:].set_visible(False)
     return ax
+
+
+def logarithmic(ax, across=True, up=True):
+    """Make the axes of a plot logarithmic, with plain numbers at their ticks: 0.1, 1, 10, with 2 and 5 in between."""
+    for wanted, axis, scale in ((across, ax.xaxis, ax.set_xscale), (up, ax.yaxis, ax.set_yscale)):
+        if wanted:
+            scale("log")
+            low, high = sorted(axis.get_view_interval())
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 300 * low else (1,)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())

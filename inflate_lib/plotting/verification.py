@@ -4,7 +4,7 @@ import numpy as np
 
 from inflate_lib.descriptors.registry import basic
 from inflate_lib.plotting.structures import draw_inflated, draw_mesh
-from inflate_lib.plotting.style import COLOURS, figure
+from inflate_lib.plotting.style import COLOURS, figure, logarithmic
 
 _ELEMENT_STYLES = {
     "q1": ("plain", "s--", COLOURS.target),
@@ -19,13 +19,13 @@ def plot_tube(result, exact_radii, refinements, errors):
 
     `errors` maps elements to (refinements,) largest relative errors of the deformed radius.
     """
-    fig, (picture, plot) = figure(1, 2, width=15, height=7.0)
-    draw_mesh(picture, result.nodes, result.cells, colour=COLOURS.ghost, edge="face", alpha=0.35)
-    draw_mesh(picture, result.deformed(), result.cells)
+    fig, (picture, plot) = figure(1, 2, height=7.5)
+    draw_mesh(picture, result.nodes, result.cells, colour=COLOURS.ghost, alpha=0.5)
+    draw_mesh(picture, result.deformed(), result.cells, edge="white", linewidth=0.5)
     angle = np.linspace(0, np.pi / 2, 200)
     for radius in exact_radii:
         picture.plot(radius * np.cos(angle), radius * np.sin(angle), "--", color=COLOURS.target, linewidth=1.2)
-    picture.set_xlabel("inflated over undeformed (grey); exact radii dashed")
+    picture.set_xlabel("inflated over undeformed (grey);\nexact radii dashed")
     for element, values in errors.items():
         name, style, colour = _ELEMENT_STYLES[element]
         plot.loglog(refinements, values, style, color=colour, markersize=4, label=name)
@@ -35,26 +35,26 @@ def plot_tube(result, exact_radii, refinements, errors):
     plot.minorticks_off()
     plot.set_xlabel("elements through the wall")
     plot.set_ylabel("largest relative error of a radius")
-    plot.legend(loc="lower left")
+    fig.legend(loc="outside upper right", ncols=2)
     return fig
 
 
 def plot_mesh_study(table):
-    """Errors of height, width and hull area in percent (columns ``…_error``) over refinement, per structure."""
+    """Sizes of the errors of height, width and hull area in percent (columns ``…_error``) over refinement, on
+    logarithmic axes, a line for each structure."""
     sizes = [one for one in basic() if f"{one.variable}_error" in table]
-    fig, axes = figure(1, len(sizes), height=6.0, sharex=True, sharey=True)
+    fig, axes = figure(1, len(sizes), height=7.0, sharex=True, sharey=True)
     for ax, one in zip(axes, sizes, strict=True):
-        for (_, element), rows in table.groupby(["structure", "element"]):
+        for (structure, element), rows in table.groupby(["structure", "element"]):
             name, style, colour = _ELEMENT_STYLES[element]
-            label = name if rows["structure"].iloc[0] == table["structure"].min() else None
-            ax.plot(rows["refine"], rows[f"{one.variable}_error"], style, color=colour, markersize=3.5, label=label)
-        ax.axhline(0, color=COLOURS.ink, linewidth=0.8)
-        ax.set_xscale("log", base=2)
+            error = rows[f"{one.variable}_error"].replace(0, np.nan)  # the truth itself
+            label = name if structure == table["structure"].min() else None
+            ax.plot(rows["refine"], error.abs(), style, color=colour, linewidth=0.9, markersize=4, label=label)
+        logarithmic(ax)
         ax.set_xticks([1, 2, 4, 6, 8], ["1", "2", "4", "6", "8"])
-        ax.minorticks_off()
         ax.set_xlabel("elements per pixel side")
         ax.set_title(one.title)
-    axes[0].set_ylabel("difference from the truth (%)")
+    axes[0].set_ylabel("|difference from the truth| (%)")
     fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return fig
 
