@@ -10,9 +10,9 @@ from inflate_lib.descriptors import describe, descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.shape import place_axis
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.plotting.structures import draw_axis, draw_pairs, row_width
-from inflate_lib.plotting.style import COLOURS, LEVELS, MARKERS, figure
+from inflate_lib.plotting.style import COLOURS, LEVELS, MARKERS, TEXT_WIDTH, figure
 
-_PAIR_WIDTH, _ACHIEVED_WIDTH = 2.4, 5.0  # cm: of a structure in Figs. 7 to 11, and of what stands to the right of them
+_COLUMN = 2.4  # cm: a structure of Figs. 7 to 11
 
 
 def plot_generated(experiment, descriptor, n_show=5):
@@ -35,10 +35,11 @@ def plot_generated(experiment, descriptor, n_show=5):
     shown = [_first_valid(experiment, k, n_show) for k in levels]
     results = [[inflate(label.astype(float)) for label in experiment["label"].values[rows]] for rows in shown]
     wide = max(map(row_width, results))
-    side = _PAIR_WIDTH * n_show / max(wide, 1.0)  # cm of a side of the frame
+    left, right = _COLUMN * n_show, max(5.0, TEXT_WIDTH - _COLUMN * n_show)  # cm
+    side = left / max(wide, 1.0)  # cm of a side of the frame
     tall = [1.2 + side * (1.08 + max((float(np.ptp(r.deformed()[:, 1])) for r in row), default=0.0)) for row in results]
-    fig = plt.figure(figsize=((_PAIR_WIDTH * n_show + _ACHIEVED_WIDTH) / 2.54, sum(tall) / 2.54))
-    pictures, achieved = fig.subfigures(1, 2, width_ratios=[_PAIR_WIDTH * n_show, _ACHIEVED_WIDTH])
+    fig = plt.figure(figsize=((left + right) / 2.54, sum(tall) / 2.54))
+    pictures, achieved = fig.subfigures(1, 2, width_ratios=[left, right])
     axes = pictures.subplots(len(levels), 1, height_ratios=tall, squeeze=False)[:, 0]
     reached = descriptor_matrix(experiment, descriptor)
     for ax, k, rows, row in zip(axes, levels, shown, results, strict=True):
@@ -46,7 +47,8 @@ def plot_generated(experiment, descriptor, n_show=5):
         for number, result, nodes in zip(rows, row, draw_pairs(ax, row, wide, n_show), strict=True):
             if one.is_line:
                 draw_axis(ax, place_axis(describe(result).medial_axis, nodes), colour=COLOURS.ink, size=1.8)
-            if one.draw is not None:
+                ax.plot(*place_axis(target.reshape(-1, 2), nodes).T, "--", color=COLOURS.target, zorder=4)
+            elif one.draw is not None:
                 one.draw(ax, target, nodes, color=COLOURS.target, linewidth=1.3, zorder=4)
             words = _words(reached[number]) or _error(one, reached[number], target)
             middle = (nodes[:, 0].min() + nodes[:, 0].max()) / 2
@@ -55,6 +57,11 @@ def plot_generated(experiment, descriptor, n_show=5):
         ax.set_title(line + (f" = {_words(target)}" if len(target) <= 2 else f" {k + 1}"), loc="left")
     _plot_achieved(achieved, experiment, one, string.ascii_lowercase[len(levels)])
     return fig
+
+
+def plot_generated_axes(experiment, n_show=3):
+    """Fig. 11: :func:`plot_generated` of the medial axis, with the axis achieved in each inflated structure."""
+    return plot_generated(experiment, "axis", n_show)
 
 
 def plot_axis_density(experiment):

@@ -35,7 +35,7 @@ def plot_tube(result, exact_radii, refinements, errors):
     plot.minorticks_off()
     plot.set_xlabel("elements through the wall")
     plot.set_ylabel("largest relative error of a radius")
-    fig.legend(loc="outside upper right", ncols=2)
+    plot.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2)
     return fig
 
 

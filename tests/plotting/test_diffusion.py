@@ -40,12 +40,21 @@ def test_schedules_are_drawn_over_the_whole_chain():
     assert [text.get_text() for text in left.get_legend().get_texts()] == list(schedules)
 
 
-def test_losses_of_five_models_can_be_told_apart():
+def test_losses_of_five_models_have_a_panel_each():
     history = {"step": [1, 2], "simple": [1.0, 0.5], "vlb": [2.0, 1.0]}
     fig = figures.plot_losses(dict.fromkeys(("height", "width", "box", "area", "axis"), history))
-    looks = [(line.get_color(), line.get_linestyle()) for line in fig.axes[0].lines]
-    assert len(set(looks)) == 5
-    np.testing.assert_array_equal(fig.axes[1].lines[0].get_ydata(), [2.0, 1.0])
+    assert [len(ax.lines) for ax in fig.axes] == [1] * 10
+    assert [ax.get_title() for ax in fig.axes[:5]] == ["height", "width", "box", "area", "axis"]
+    np.testing.assert_array_equal(fig.axes[5].lines[0].get_ydata(), [2.0, 1.0])
+
+
+def test_the_legend_of_the_answers_is_off_the_axes():
+    wanted = np.linspace(0.8, 1.2, 5)
+    fig = figures.plot_answers(dict.fromkeys(("w = 1", "w = 3"), (wanted, wanted, np.poly1d([1, 0]))))
+    fig.canvas.draw()
+    (legend,) = fig.legends
+    assert all(legend.get_window_extent().y0 > ax.get_window_extent().y1 for ax in fig.axes)
+    assert all(ax.get_aspect() == 1 for ax in fig.axes)
 
 
 def test_schematic_has_both_lanes_and_no_text_outside_the_frame():
