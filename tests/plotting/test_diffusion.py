@@ -10,11 +10,13 @@ from matplotlib import pyplot as plt
 
 from inflate_lib.diffusion import cosine_schedule, linear_schedule
 from inflate_lib.plotting import diffusion as figures
+from inflate_lib.plotting import in_style
 
 
 @pytest.fixture(autouse=True)
-def close():
-    yield
+def styled():
+    with in_style():
+        yield
     plt.close("all")
 
 

@@ -16,7 +16,7 @@ from matplotlib.colors import to_rgba
 from inflate_lib import describe, inflate, label_image, load_sevens, paths, simulate_dataset
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.experiments.targets import find_clusters
-from inflate_lib.plotting import style
+from inflate_lib.plotting import in_style, style
 from inflate_lib.plotting.evaluation import plot_baselines, plot_controls, plot_selection
 from inflate_lib.plotting.results import plot_axis_density, plot_generated, plot_generated_axes
 from inflate_lib.plotting.structures import draw_pairs, plot_clusters, plot_medial_axes
@@ -24,8 +24,9 @@ from inflate_lib.plotting.verification import plot_mesh_study, plot_tube
 
 
 @pytest.fixture(autouse=True)
-def close():
-    yield
+def styled():
+    with in_style():
+        yield
     plt.close("all")
 
 
