@@ -15,7 +15,6 @@ CONDA_NAMES = {
     "matplotlib-base": "matplotlib",
     "python-build": "build",
     "pytorch-cpu": "torch",
-    "seaborn-base": "seaborn",
 }
 
 
