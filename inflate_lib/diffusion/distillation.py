@@ -17,12 +17,12 @@ from torch import Tensor
 from inflate_lib.diffusion.config import TrainingConfig
 from inflate_lib.diffusion.model import TrainedModel
 from inflate_lib.diffusion.randomness import random_generator
-from inflate_lib.diffusion.training import _Run
+from inflate_lib.diffusion.training import Run
 
 _SLOWER = 0.5  # the student's learning rate, of the teacher's: it starts near its goal
 
 
-class _Distillation(_Run):
+class _Distillation(Run):
     """The loop of :func:`distil`: as in training, but the answer wanted is the guided teacher's."""
 
     checkpoint = "distillation.safetensors"
@@ -30,7 +30,7 @@ class _Distillation(_Run):
     def __init__(self, teacher: TrainedModel, images, conditions, config: TrainingConfig, folder: Path | None):
         super().__init__(images, conditions, config, folder)
         self.low, self.high = teacher.condition_min, teacher.condition_max
-        self.conditions = torch.from_numpy(teacher.scaled(conditions)).to(self.device, torch.float32)
+        self.conditions = torch.from_numpy(teacher.scaled(conditions)).float()
         self.teacher = copy.deepcopy(teacher.net).to(self.device).eval().requires_grad_(False)
         self.net.load_state_dict(self.teacher.state_dict(), strict=False)  # all but what takes w
         torch._foreach_copy_(self.ema, [p.detach() for p in self.parameters])

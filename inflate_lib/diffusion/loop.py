@@ -70,6 +70,7 @@ class Loop:
             p.grad = torch.zeros_like(p)
         self.step, self.history = 0, {name: [] for name in ("step", *self.parts)}
         self.seconds, self.per_step = 0.0, []  # spent in all; of one step, on average between entries of the history
+        self.until = math.inf  # time.monotonic() at which the run stops, with a checkpoint to go on from
         self.sums, self.summed = torch.zeros(len(self.parts), device=self.device), 0  # since the last such entry
 
     def descend(self) -> Tensor:
@@ -92,7 +93,7 @@ class Loop:
         return tensors
 
     def run(self, progress: bool | str, log: Path | None = None) -> None:
-        """Train to the end, from the last checkpoint if there is one.
+        """Train to the end, or as long as there is time, from the last checkpoint if there is one.
 
         `progress` is False for silence, or what to call the training in lines of progress; `log` is a folder for
         ``history.csv`` and TensorBoard events.
@@ -104,9 +105,10 @@ class Loop:
         if first and log is not None:
             rows = Log(Path(log), self.step)
         started = time.monotonic() - self.seconds
-        while self.step < self.total:
+        done = self.step == self.total
+        while not done:
             self.advance()
-            done = self.step == self.total
+            done = self.step == self.total or time.monotonic() >= self.until
             checkpoint = done or self.step % self.checkpoint_every == 0
             if self.summed and (checkpoint or self.step % self.log_every == 0):
                 steps = self.summed
@@ -183,10 +185,13 @@ class Loop:
 
     def spent(self) -> dict:
         """Seconds in all, the device, and the median of the seconds of a step."""
-        gpu = self.device.type == "cuda"
-        device = torch.cuda.get_device_name(self.device) if gpu else self.device.type
         step = {"seconds_per_step": float(np.median(self.per_step))} if self.per_step else {}
-        return {"seconds": round(self.seconds, 1), "device": device, **step}
+        return {"seconds": round(self.seconds, 1), "device": device_name(self.device), **step}
+
+
+def device_name(device: torch.device) -> str:
+    """Which GPU it is; else "cpu" or "mps"."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
 
 
 class _Fit(Loop):

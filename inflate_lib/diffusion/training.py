@@ -85,7 +85,7 @@ def train(
     threads_before = torch.get_num_threads()
     torch.set_num_threads(threads or threads_before)
     try:
-        run = _Run(images, conditions, replace(config, strongest=0), folder)
+        run = Run(images, conditions, replace(config, strongest=0), folder)
         run.run(progress, log)
         return run.model()
     finally:
@@ -151,7 +151,7 @@ def _squared_errors(model: TrainedModel, x0: Tensor, y: Tensor | None, t: Tensor
     return process.squared_error(prediction, target)
 
 
-class _Run(Loop):
+class Run(Loop):
     """Training on the hybrid loss: random time steps, noise and withheld descriptors; an average of the weights."""
 
     parts = ("loss", "simple", "vlb")
@@ -181,7 +181,7 @@ class _Run(Loop):
         self.vlb_weights = process.vlb_weights(self.schedule, config.objective) * config.T
         self.images = torch.from_numpy(images).to(device)
         scaled = TrainedModel(net, config, self.low, self.high).scaled(conditions)
-        self.conditions = torch.from_numpy(scaled).to(device, torch.float32)
+        self.conditions = torch.from_numpy(scaled).float()
 
     def state(self) -> dict[str, Tensor]:
         names = (name for name, _ in self.net.named_parameters())
@@ -196,33 +196,43 @@ class _Run(Loop):
         first = self.step % self.per_epoch * self.batch_size
         return self.order[first : first + self.batch_size]
 
-    def descend(self) -> Tensor:
-        """The gradient of the hybrid loss (Eq. 11) on one batch, or on this process's share of it."""
+    def draw(self) -> tuple[Tensor, ...]:
+        """Pairs of this step, their descriptors, time steps, which descriptors are withheld, and the noise.
+
+        On the CPU and for the whole batch: the same numbers for every device and however many processes share it.
+        """
         config, rows = self.config, self.rows()
         n = len(rows)
-        # On the CPU and for the whole batch: the same numbers for every device and however many processes share it.
         generator = random_generator(config.seed, 2, self.step)
         # The descriptor decides most where the noise is strong: the largest of k draws has a density ∝ t^(k − 1).
         t = torch.randint(config.T, (config.timestep_draws, n), generator=generator).amax(0)
         dropped = torch.rand(n, generator=generator) < config.condition_dropout
         noise = torch.randn((n, 1, *self.images.shape[1:]), generator=generator)
-        y = self.conditions[rows.to(self.device)]
+        y = self.conditions[rows]
         if config.parts:  # each part is withheld every second time, so that any combination can be asked for
             withheld = torch.rand((n, len(config.parts)), generator=generator) < 0.5
             withheld = withheld.repeat_interleave(torch.tensor(config.parts), dim=1)
-            y = y.masked_fill(withheld.to(self.device), math.nan)
-        mine = slice(ranks.rank(), None, ranks.world())
-        rows, y, t, dropped, noise = rows[mine], y[mine], t[mine], dropped[mine], noise[mine]
+            y = y.masked_fill(withheld, math.nan)
+        return rows, y, t, dropped, noise
+
+    def descend(self) -> Tensor:
+        """The gradient of the hybrid loss (Eq. 11) on one batch, or on this process's share of it."""
+        drawn = self.draw()
+        n, mine = len(drawn[0]), slice(ranks.rank(), None, ranks.world())
+        rows, y, t, dropped, noise = (part[mine] for part in drawn)
         if not len(rows):
             return torch.zeros(len(self.parts), device=self.device)
-        losses = self.losses(self.there(rows), y, t, self.there(dropped), self.there(noise)) / n
+        losses = self.losses(self.there(rows), self.there(y), t, self.there(dropped), self.there(noise)) / n
         losses[0].backward()
         return losses.detach()
 
     def settle(self) -> None:
         """Let the averages follow the weights: quickly at first, when these are still far from any use."""
-        decay = min(self.config.ema_decay, (1 + self.step) / (10 + self.step))
-        torch._foreach_lerp_(self.ema, self.parameters, 1 - decay)
+        torch._foreach_lerp_(self.ema, self.parameters, self.ema_step())
+
+    def ema_step(self) -> float:
+        """How far the averages move towards the weights at this step."""
+        return 1 - min(self.config.ema_decay, (1 + self.step) / (10 + self.step))
 
     def there(self, tensor: Tensor) -> Tensor:
         """Send to the device; a GPU goes on computing meanwhile."""

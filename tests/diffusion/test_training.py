@@ -18,7 +18,7 @@ from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, proces
 from inflate_lib.diffusion._logs import Log
 from inflate_lib.diffusion.loop import Loop
 from inflate_lib.diffusion.randomness import random_generator
-from inflate_lib.diffusion.training import _Run, choose_device, losses_in_time
+from inflate_lib.diffusion.training import Run, choose_device, losses_in_time
 
 TINY = {"channels": (4, 8), "embedding": 16, "hidden": 8, "batch_size": 8, "learning_rate": 1e-3}
 
@@ -38,16 +38,16 @@ class Interrupt(Exception):
 
 def interrupt_at(monkeypatch, step):
     """Make training fail as it starts this step; from outside nothing can happen between two steps."""
-    from inflate_lib.diffusion.training import _Run
+    from inflate_lib.diffusion.training import Run
 
-    advance = _Run.advance
+    advance = Run.advance
 
     def interrupted(self):
         if self.step == step:
             raise Interrupt
         advance(self)
 
-    monkeypatch.setattr(_Run, "advance", interrupted)
+    monkeypatch.setattr(Run, "advance", interrupted)
 
 
 def same(a, b):
@@ -82,13 +82,13 @@ CHILD = """
 import os, resource, signal, sys
 sys.path.insert(0, sys.argv[2])
 from test_training import config, data, die, storage, train, TINY
-from inflate_lib.diffusion.training import _Run
+from inflate_lib.diffusion.training import Run
 
 {}
 train(*data(), config(learning_rate_decay="cosine"), sys.argv[1], progress=False, threads=1)
 """
 DEATHS = {
-    "before the first checkpoint": "die(_Run, 'advance', lambda run: run.step == 5)",
+    "before the first checkpoint": "die(Run, 'advance', lambda run: run.step == 5)",
     "with half a checkpoint written": """
 save = storage.save
 storage.save = lambda *content, **more: save(*content, **more)[:1000]  # the first part of the bytes reaches the disk
@@ -101,7 +101,7 @@ def cut(*content, **more):
     return save(*content, **more)[: 1000 if len(saved) == 2 else None]
 storage.save = cut
 die(os, 'fsync', lambda file: len(saved) == 2)""",
-    "in the last step": "die(_Run, 'advance', lambda run: run.step == 23)",
+    "in the last step": "die(Run, 'advance', lambda run: run.step == 23)",
 }
 
 
@@ -149,7 +149,7 @@ def test_a_full_disk_stops_with_a_message_and_keeps_the_old_checkpoint(step, kep
 def full(run):
     if run.step == {step}:
         resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
-die(_Run, 'advance', full)"""
+die(Run, 'advance', full)"""
     ended = child(tmp_path, limit)
     assert ended.returncode == 1
     assert f"File too large at {kept}" in ended.stderr.splitlines()[-1]
@@ -166,9 +166,9 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path):
 
 
 def test_weights_that_are_lost_in_the_very_last_step_are_not_saved(tmp_path, monkeypatch):
-    from inflate_lib.diffusion.training import _Run
+    from inflate_lib.diffusion.training import Run
 
-    advance = _Run.advance
+    advance = Run.advance
 
     def explode(self):
         advance(self)
@@ -176,16 +176,16 @@ def test_weights_that_are_lost_in_the_very_last_step_are_not_saved(tmp_path, mon
             with torch.no_grad():
                 self.net.out.bias.fill_(float("inf"))
 
-    monkeypatch.setattr(_Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
+    monkeypatch.setattr(Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
     with pytest.raises(FloatingPointError, match=r"weights are no longer finite after step 16"):
         train(*data(), config(), tmp_path, progress=False, threads=1)
     assert storage.read(tmp_path / Loop.checkpoint, "checkpoint")[1]["step"] == 8
 
 
 def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monkeypatch):
-    from inflate_lib.diffusion.training import _Run
+    from inflate_lib.diffusion.training import Run
 
-    advance = _Run.advance
+    advance = Run.advance
 
     def explode(self):
         if self.step == 12:
@@ -193,7 +193,7 @@ def test_a_lost_loss_stops_training_and_keeps_the_last_good_state(tmp_path, monk
                 self.net.out.bias.fill_(float("nan"))
         advance(self)
 
-    monkeypatch.setattr(_Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
+    monkeypatch.setattr(Run, "advance", explode)  # healthy data do not lose a network, least of all at a given step
     with pytest.raises(FloatingPointError, match=r"loss became nan between steps 12 and 15.*last good state"):
         train(*data(), config(), tmp_path, progress=False, threads=1)
     tensors, content = storage.read(tmp_path / Loop.checkpoint, "checkpoint")
@@ -306,13 +306,13 @@ def test_more_draws_of_t_prefer_noise(monkeypatch, draws):
 def test_every_combination_of_parts_is_trained(monkeypatch):
     """Each part of a joint descriptor is withheld half the time, independently, as a whole, and never otherwise."""
     seen = []
-    losses = _Run.losses
+    losses = Run.losses
 
     def spy(self, rows, y, *rest):
         seen.append(y)
         return losses(self, rows, y, *rest)
 
-    monkeypatch.setattr(_Run, "losses", spy)  # which parts were withheld is seen nowhere else
+    monkeypatch.setattr(Run, "losses", spy)  # which parts were withheld is seen nowhere else
     model = train(*data(400, 4), config(parts=[1, 3], batch_size=100), progress=False)
     unknown = torch.cat(seen).isnan()
     assert bool((unknown[:, 1:].all(1) == unknown[:, 1:].any(1)).all())

@@ -22,7 +22,8 @@ from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descript
 from inflate_lib.descriptors.registry import PHYSICAL
 from inflate_lib.diffusion import TrainedModel, storage
 from inflate_lib.diffusion.training import simple_loss
-from inflate_lib.models import RETRAIN, train, weights
+from inflate_lib.experiments.run import held_out_seed, run_experiment
+from inflate_lib.models import RETRAIN, remote, train, weights
 from inflate_lib.models.recipe import Recipe, load_recipe
 from inflate_lib.models.train import train_models, training_cost
 from inflate_lib.models.weights import committed_weights, trained_models
@@ -315,3 +316,85 @@ def test_a_pack_that_cannot_be_used_is_named_in_one_line(data, tmp_path, elsewhe
         (elsewhere(file), f"inflate: {file} is truncated"),
     ):
         assert ended.returncode == 1 and ended.stderr.startswith(message) and ended.stderr.count("\n") == 1
+
+
+@pytest.fixture
+def packed(data, tmp_path, monkeypatch):
+    """A pack of two models, and the folder in which notebooks would find their weights."""
+    monkeypatch.setattr(paths, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path / "pretrained")
+    recipe = RECIPE.changed(training={"device": "cpu"})
+    file = tmp_path / "pairs.safetensors"
+    train.pack(file, ["box", "axis"], recipe, data, profile="small")
+    return file, tmp_path / "pretrained" / "small", recipe
+
+
+def test_captured_training_of_a_pack_stops_in_time_goes_on_and_learns_the_same(data, packed, capsys):
+    file, out, recipe = packed
+    asked = [str(file), "--out", str(out), "--device", "cpu", "--graph"]
+    remote.main([*asked, "--minutes", "0"])
+    stopped = TrainedModel.load(out / "box.safetensors")
+    assert stopped.history["step"] == [1] and stopped.metadata["epochs_done"] == round(1 / 13, 2)  # 100 pairs by eights
+    remote.main(asked)
+    for name in ("box", "axis"):
+        assert committed_weights(name, recipe, data) == (out / f"{name}.safetensors", "")
+        theirs = TrainedModel.load(out / f"{name}.safetensors")
+        ours = TrainedModel.load(train.trained_model_file(name, recipe, data))
+        for mine, other in zip(ours.net.parameters(), theirs.net.parameters(), strict=True):
+            assert torch.equal(mine.half().float(), other)
+        assert theirs.metadata["epochs_done"] == round(4 / 13, 2) and theirs.metadata["profile"] == "small"
+        assert theirs.metadata["held_out_loss"] == ours.metadata["held_out_loss"]
+
+
+def test_what_was_drawn_elsewhere_is_taken_where_all_is_the_same(data, packed, tmp_path, monkeypatch, capsys):
+    file, out, recipe = packed
+    asked = [str(file), "--out", str(out), "--device", "cpu", "--only", "box"]
+    remote.main([*asked, "--graph"])
+    box = np.array([[10.0, 5.0], [20.0, 10.0]])
+    np.savez(tmp_path / "targets.npz", **{"box": np.repeat(box, 2, axis=0) * (1 + 1e-9), "box.held_out": box})
+    remote.main([*asked, "--draw", str(tmp_path / "targets.npz")])
+    tensors, record = storage.read(out / "drawings" / "targets.safetensors", "drawing")
+    assert tensors["box.images"].dtype == torch.uint8 and record["box"]["sampling"] == RECIPE.sampling
+    model = trained_models(["box"], recipe, data)["box"]
+    capsys.readouterr()
+
+    found = run_experiment(model, box, 2)
+    drawn = {"box": run_experiment(model, box, 2), "box.held_out": run_experiment(model, box, 1, held_out_seed(0))}
+    for key, found in drawn.items():
+        assert np.array_equal(np.round(255 * found["image"].values), tensors[f"{key}.images"].numpy())
+    assert capsys.readouterr().out.count("structures from targets.safetensors: box\n") == 3
+    monkeypatch.setattr(paths, "PRETRAINED", tmp_path / "none")
+    anew = run_experiment(model, box, 2)["image"].values
+    assert 0 < np.abs(anew - drawn["box"]["image"].values).max() <= 0.5 / 255  # the same structures in 8 bits
+
+    monkeypatch.setattr(paths, "PRETRAINED", out.parent)
+    capsys.readouterr()
+    with torch.no_grad():
+        other = weights.replace(model, trained=TrainedModel.load(out / "box.safetensors"))
+        other.trained.net.out.bias += 1e-6
+    run_experiment(other, box, 2)
+    run_experiment(model.sampled(steps=3), box, 2)
+    run_experiment(model, box, 2, seed=1)
+    run_experiment(model, box * 1.001, 2)
+    run_experiment(model, box, 3)
+    assert "structures from" not in capsys.readouterr().out
+
+
+def test_what_captured_training_and_drawing_cannot_use_is_named(packed, tmp_path):
+    file, out, _ = packed
+    asked = [str(file), "--out", str(out), "--device", "cpu"]
+    (tmp_path / "text.npz").write_text("height")
+    np.savez(tmp_path / "targets.npz", height=np.ones(3))
+    tensors, content = storage.read(file, "pack")
+    old = tmp_path / "old.safetensors"
+    storage.write(old, "pack", {name: t for name, t in tensors.items() if "mirrored" not in name}, content)
+    for arguments, message in (
+        ([*asked, "--draw", str(tmp_path / "text.npz")], r"text\.npz is no npz file of targets"),
+        ([*asked, "--draw", str(tmp_path / "targets.npz")], r"targets\.npz has no targets for box, axis"),
+        ([*asked, "--graph", "--start", str(tmp_path)], "no model file at .*box.safetensors"),
+        ([str(old), *asked[1:], "--graph"], r"old\.safetensors was written by an older version"),
+    ):
+        with pytest.raises(SystemExit, match=message):
+            remote.main(arguments)
+    with pytest.raises(SystemExit):
+        remote.main([*asked, "--minutes", "3"])
