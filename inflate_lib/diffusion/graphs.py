@@ -8,6 +8,7 @@ What a step draws comes from the generators of the plain loop, on the CPU, into 
 is that of the plain loop, step by step, and a run goes on exactly where it was stopped.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ class CapturedRun(Run):
     Raises
     ------
     ValueError
-        `start` is of another training, or the recipe wants guidance to be distilled.
+        `start` is of another training.
     """
 
     def __init__(
@@ -47,9 +48,7 @@ class CapturedRun(Run):
         folder: Path | None = None,
         start: TrainedModel | None = None,
     ):
-        if config.strongest > 0:
-            raise ValueError("captured steps train no model whose guidance is to be distilled")
-        super().__init__(images, conditions, config, folder)
+        super().__init__(images, conditions, replace(config, strongest=0), folder)
         self.replay, self.inputs, self.started = None, [], 0
         self.identity = self.identity | {"start": None}
         self.now = torch.zeros(2, device=self.device)  # learning rate, and how far the averages move
