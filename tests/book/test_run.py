@@ -243,6 +243,34 @@ def test_a_notebook_that_warned_is_named_with_its_warning(done, monkeypatch):
     assert re.search(r"left out of the book:\s+02_second, code cell \d: UserWarning: too much", said.getvalue())
 
 
+def test_a_book_is_built_again_where_something_that_it_shows_has_changed(done, monkeypatch):
+    pages = done / "book" / "_build" / "html"
+    pages.mkdir(parents=True, exist_ok=True)
+    (pages / "index.html").touch()
+    (done / "book" / "_build" / "complete").unlink(missing_ok=True)
+    built = []
+
+    def build_pages(builder):
+        pages.mkdir(exist_ok=True)
+        (pages / "index.html").touch()
+        built.append(builder)
+        return pages / "index.html"
+
+    monkeypatch.setattr(build, "run_jupyter_book", build_pages)
+
+    def builds():
+        build_book("ci", Console(file=io.StringIO()))
+        return len(built)
+
+    assert [builds(), builds()] == [1, 1]
+    (done / "book" / "index.md").write_text("# Another title\n")
+    assert [builds(), builds()] == [2, 2]
+    (done / "figures" / "runs" / "ci" / "glance.png").write_bytes(b"another picture")
+    assert [builds(), builds()] == [3, 3]
+    (pages / "index.html").unlink()
+    assert [builds(), builds()] == [4, 4]
+
+
 def test_a_raising_cell_stops_the_run_and_is_shown(home, monkeypatch):
     add(home, "01_first", "x = 1", "y = 0\nx / y", "z = 2")
     executed = home / "book" / "notebooks" / "01_first.ipynb"
