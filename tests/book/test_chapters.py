@@ -84,22 +84,22 @@ def departures():
     text = (paths.NOTEBOOKS / "13_comparison.md").read_text(encoding="utf-8")
     section = text.split("(sec-departures)=")[1].split("## What the paper leaves to future work")[0]
     head, _, *rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("|")]
-    assert head == ["paper", "here", "reason", "measured effect", "chapter"]
+    assert head == ["paper", "here", "reason", "measured effect"]
     return [row for row in rows if not row[0].startswith("**")]
 
 
 def test_every_departure_has_a_reason_an_effect_and_a_chapter():
     for row in departures():
-        assert len(row) == 5 and all(row), row
-        _, _, _, effect, chapter = row
-        named = re.findall(r"\{doc\}`(\w+)`", chapter)
+        assert len(row) == 4 and all(row), row
+        effect = row[3]
+        named = re.findall(r"\{doc\}`(\w+)`", effect)
         assert named and all((paths.NOTEBOOKS / f"{name}.md").is_file() for name in named), row
-        said = "{glue:text}" in effect or "{numref}" in effect or "{doc}" in effect
+        said = "{glue:text}" in effect or "{numref}" in effect
         assert said or effect.startswith(("not measured", "none")) or "below" in effect or "MOOSE" in effect, row
 
 
 def test_the_table_of_departures_misses_no_box_and_no_option_of_a_recipe():
-    chapters = "\n".join(row[4] for row in departures())
+    chapters = "\n".join(row[3] for row in departures())
     for chapter in CHAPTERS:
         if "{admonition} Departure from the paper" in chapter.read_text(encoding="utf-8"):
             assert chapter.stem == "13_comparison" or f"`{chapter.stem}`" in chapters, f"no row names {chapter.stem}"
