@@ -188,7 +188,7 @@ def _when(result, step):
 
 def _draw_coloured(ax, result, values, step):
     """One load step over the undeformed shape, coloured cell by cell on a scale that one cell cannot eat."""
-    draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.ghost, alpha=0.5)
+    draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.shadow)
     nodes = result.deformed(step)
     cells = draw_mesh(ax, nodes, result.cells, colour=None, array=values[step], cmap=STRETCH_MAP)
     cells.set_clim(*np.percentile(values[step], [1, 99]))

@@ -51,7 +51,7 @@ def draw_inflated(ax, result, step=-1, ghost=True, **style):
     `style` is that of :func:`draw_shape`. Returns the deformed nodes.
     """
     if ghost:
-        draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.ghost, alpha=0.5, zorder=0.5)
+        draw_mesh(ax, result.nodes, result.cells, colour=COLOURS.shadow, zorder=0.5)
     deformed = result.deformed(step)
     draw_shape(ax, result.mesh, deformed, **style)
     return deformed

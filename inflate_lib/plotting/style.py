@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 COLOURS = SimpleNamespace(
     wall="#0072B2",  # solid material
     void="#DCE9F2",  # pressurised cavity
-    ghost="#9A9A9A",  # undeformed shape behind a deformed one
+    ghost="#9A9A9A",  # what stands behind
+    shadow="#CCCCCC",  # undeformed shape behind a deformed one
     target="#D55E00",  # what was asked for
     achieved="#0072B2",  # what came out
     low="#E69F00",

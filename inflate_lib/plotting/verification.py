@@ -20,7 +20,7 @@ def plot_tube(result, exact_radii, refinements, errors):
     `errors` maps elements to (refinements,) largest relative errors of the deformed radius.
     """
     fig, (picture, plot) = figure(1, 2, height=7.5)
-    draw_mesh(picture, result.nodes, result.cells, colour=COLOURS.ghost, alpha=0.5)
+    draw_mesh(picture, result.nodes, result.cells, colour=COLOURS.shadow)
     draw_mesh(picture, result.deformed(), result.cells, edge="white", linewidth=0.5)
     angle = np.linspace(0, np.pi / 2, 200)
     for radius in exact_radii:
