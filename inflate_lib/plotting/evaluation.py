@@ -1,5 +1,7 @@
 """Pictures of what the paper leaves out: held-out targets, novelty, baselines, best of n."""
 
+import re
+
 import numpy as np
 
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
@@ -228,3 +230,35 @@ def _even(values):
 
 def _white(images):
     return 255 if np.asarray(images).dtype == np.uint8 else 1.0
+
+
+def plot_frontier(table):
+    """Accuracy over variety of some ways of sampling, a panel for each descriptor; numbers are evaluations.
+
+    ``table`` is a frame with the columns descriptor, way, evaluations, R² and variety, as ``benchmarks/sampler.py``
+    stores it. Ways whose names differ in the steps alone are joined by a line.
+    """
+    names = list(dict.fromkeys(table["descriptor"]))
+    fig, axes = figure(-(-len(names) // 3), 3, height=5.2 * -(-len(names) // 3), squeeze=False)
+    for ax in axes.flat[len(names) :]:
+        ax.set_axis_off()
+    lines = {
+        "DDIM, $w = 3$": (lambda way: re.fullmatch(r"\d+ steps", way), {"color": COLOURS.wall, "fmt": "o-"}),
+        "second order, $w = 5$": (
+            lambda way: re.fullmatch(r"second order, w = 5(, \d+ steps)?", way),
+            {"color": COLOURS.target, "fmt": "s--"},
+        ),
+        "other": (lambda way: True, {"color": COLOURS.ghost, "fmt": "x"}),
+    }
+    for ax, name in zip(axes.flat, names, strict=False):
+        left = table[table["descriptor"] == name].sort_values("evaluations")
+        for label, (belongs, style) in lines.items():
+            mine = left["way"].map(lambda way, belongs=belongs: bool(belongs(way)))
+            rows, left = left[mine], left[~mine]
+            ax.plot(rows["variety"], rows["R²"], style["fmt"], color=style["color"], markersize=4, label=label)
+            for _, row in rows.iterrows() if label != "other" else ():
+                near = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": 7}
+                ax.annotate(row["evaluations"], (row["variety"], row["R²"]), color=style["color"], **near)
+        ax.set(title=name, xlabel="variety, as a share of the data's", ylabel="$R^2$")
+    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return fig
