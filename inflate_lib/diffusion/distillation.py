@@ -82,9 +82,9 @@ def distil(
     """
     if config.strongest <= 1 or teacher.config.strongest:
         raise ValueError("a student needs a teacher that is none itself, and strongest > 1")
-    steps = {"steps": config.distillation_steps, "epochs": None, "checkpoint_every": None}
-    rate = {"learning_rate": _SLOWER * config.learning_rate, "learning_rate_decay": "cosine"}
-    run = _Distillation(teacher, images, conditions, replace(config, **steps, **rate), folder)
+    budget = replace(config, steps=config.distillation_steps, epochs=None, checkpoint_every=None)
+    budget = replace(budget, learning_rate=_SLOWER * config.learning_rate, learning_rate_decay="cosine")
+    run = _Distillation(teacher, images, conditions, budget, folder)
     run.run(f"{progress}, distillation" if isinstance(progress, str) else progress)
     student = run.model()
     about = {"teacher": teacher.fingerprint, "distillation": {"loss": run.history["loss"][-1], **run.spent()}}
