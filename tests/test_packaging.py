@@ -15,6 +15,7 @@ CONDA_NAMES = {
     "matplotlib-base": "matplotlib",
     "python-build": "build",
     "pytorch-cpu": "torch",
+    "seaborn-base": "seaborn",
 }
 
 

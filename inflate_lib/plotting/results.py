@@ -156,13 +156,15 @@ def _plot_achieved(fig, experiment, descriptor, letter):
         axes[-1].set_xlabel("$x$" if descriptor.is_line else f"achieved ${descriptor.components[1]}$")
         axes[0].legend(loc="upper left", handlelength=1.4, borderaxespad=0)
         return
+    import seaborn as sns  # which the figures of the book alone need
+
     ax, error = fig.subplots(), descriptor.error
     for k, (values, wanted) in enumerate(zip(reached, targets, strict=True)):
         scalar = descriptor.length == 1
         values = values[:, 0] if scalar else error.factor * error.of(values, np.tile(wanted, (len(values), 1)))
         if len(values) > 1:
-            body = ax.violinplot(values, [k], widths=0.85, showextrema=False)["bodies"][0]
-            body.set(facecolor=LEVELS[k], alpha=0.35)
+            options = {"color": LEVELS[k], "saturation": 1, "inner": None, "linewidth": 0, "alpha": 0.35}
+            sns.violinplot(x=np.full(len(values), k), y=values, ax=ax, width=0.85, cut=0, native_scale=True, **options)
         sideways = np.random.default_rng(0).uniform(-0.14, 0.14, len(values))
         style = {"color": LEVELS[k], "markeredgecolor": COLOURS.ink, "markeredgewidth": 0.25}
         ax.plot(k + sideways, values, MARKERS[k], markersize=2.8, **style)
