@@ -1,7 +1,7 @@
 """Accuracy, variety and novelty of what a model draws, against what it costs: one way of sampling beside another.
 
-    python benchmarks/sampler.py --weights laptop/teachers               the models as they were trained
-    python benchmarks/sampler.py --students                              those into which guidance was distilled
+    python benchmarks/sampler.py                the models as they were trained
+    python benchmarks/sampler.py --students     those into which guidance was distilled
 
 The first writes data/reference/sampler.csv, the second sampler_students.csv, which the chapter "Training" shows, each
 with a note beside it that says where it comes from. Every drawing is kept in the cache: a script that was stopped goes
@@ -31,7 +31,7 @@ from inflate_lib.experiments.calibrate import calibrate
 from inflate_lib.experiments.run import held_out_targets, run_experiment
 from inflate_lib.experiments.variety import diversity, novelty
 from inflate_lib.models.recipe import load_recipe
-from inflate_lib.models.weights import load_model
+from inflate_lib.models.weights import STUDENTS, load_model
 
 EIGHT, SECOND = {"steps": 8}, {"sampler": "dpm-solver++"}
 WAYS = {f"{steps} steps": {"steps": steps} for steps in (25, 16, 8, 6, 4)}
@@ -59,19 +59,15 @@ WAYS |= {
     "second order, η = 0": EIGHT | SECOND | {"eta": 0.0},
     "second order, η = 0, w = 2, 16 steps": SECOND | {"steps": 16, "eta": 0.0, "guidance": 2.0},
 }
-STUDENTS = {name: way for name, way in WAYS.items() if name.startswith("second order, w = 5")}
-STUDENTS |= {
-    "second order, w = 8": EIGHT | SECOND | {"guidance": 8.0},
-    "second order, w = 8, 5 steps": SECOND | {"steps": 5, "guidance": 8.0},
-}
+FOR_STUDENTS = {name: way for name, way in WAYS.items() if name.startswith("second order, w = 5")}
+FOR_STUDENTS["second order, w = 8, 5 steps"] = SECOND | {"steps": 5, "guidance": 8.0}
 ALIKE = 100  # drawings for one target
 TIMED = 32  # structures drawn to time a way
 
 
 def options():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--profile", default="laptop", help="whose recipe is followed")
-    parser.add_argument("--weights", default="laptop", help="folder of data/pretrained with the models that are asked")
+    parser.add_argument("--profile", default="laptop", help="whose committed weights are asked")
     parser.add_argument("--students", action="store_true", help="in the few ways that suit models told their guidance")
     parser.add_argument("--descriptors", nargs="+", default=list(DESCRIPTORS), choices=DESCRIPTORS)
     parser.add_argument("--thorough", nargs="*", default=["height", "axis"], help="asked in every way, the rest in few")
@@ -100,15 +96,16 @@ def three_targets(data, descriptor):
 
 def main():
     given, started, rows = options(), time.monotonic(), []
+    weights = f"{given.profile}/{STUDENTS}" if given.students else given.profile
     recipe, data = load_recipe(given.profile), simulated_sevens(given.source)
     known = training_rows(data)
     unseen = np.setdiff1d(np.flatnonzero(data["converged"].values), known)
     yardstick = np.median(novelty(data["image"].values[unseen], data, known)[0])
     for descriptor in given.descriptors:
-        model = load_model(descriptor, given.weights).sampled(**WAYS["25 steps"], sampler="ddim", eta=1.0, guidance=3.0)
+        model = load_model(descriptor, weights).sampled(**WAYS["25 steps"], sampler="ddim", eta=1.0, guidance=3.0)
         targets, _ = held_out_targets(data, descriptor, model, given.targets, given.seed)
-        for name in STUDENTS if given.students else WAYS if descriptor in given.thorough else MAIN:
-            way = model.sampled(**(STUDENTS if given.students else WAYS)[name])
+        for name in FOR_STUDENTS if given.students else WAYS if descriptor in given.thorough else MAIN:
+            way = model.sampled(**(FOR_STUDENTS if given.students else WAYS)[name])
             row = {"descriptor": descriptor, "way": name, "evaluations": evaluations(way, targets[0])}
             row |= evaluate_variant(way, data, targets, given.seed, recipe.n_calibration, n_jobs=1)
             row["unit"] = get_descriptor(descriptor).error.unit
@@ -128,7 +125,7 @@ def main():
         "sampler_students" if given.students else "sampler",
         "sampler.py",
         data=f"{data.attrs['source']}, {data.sizes['structure']} structures",
-        weights=f"data/pretrained/{given.weights}",
+        weights=f"data/pretrained/{weights}",
         unless_said="DDIM, η = 1, w = 3, 8 steps; second order: SDE-DPM-Solver++(2M)",
         n_calibration=recipe.n_calibration,
         novelty_of_held_out=float(yardstick),
