@@ -1,5 +1,6 @@
 """What the chapters and pages say about the library is so: the names that they mention are there."""
 
+import json
 import re
 from dataclasses import asdict
 from pkgutil import iter_modules, resolve_name
@@ -132,6 +133,8 @@ def test_retrieval_is_the_better_start_and_drawings_are_newer():
     retrieved, drawn = table.loc["training"], table.loc["model"]
     assert retrieved["met"] > drawn["met"] and retrieved["designs"] > drawn["designs"]
     assert retrieved["first"] < drawn["first"] and retrieved["novelty"] < drawn["novelty"]
+    paired = json.loads((paths.REFERENCE / "opponents.json").read_text(encoding="utf-8"))["paired"]
+    assert paired["p"] > 0.05 and paired["more designs"][1] > 0  # the first could be luck, the second hardly
     error = pd.read_csv(paths.REFERENCE / "joint.csv").set_index(["targets", "model", "n"])["median error"]
     for name in ("height", "width", "box", "area", "axis"):
         assert error[name, name, 1] < error[name, "joint", 1]
