@@ -87,7 +87,12 @@ class _Table(NamedTuple):
         if len(rows) != 1 or not (numbers := _numbers(self._cells(column, rows)[0])):
             raise LookupError(f"{self.name}.csv has {len(rows)} rows with {labels}, or no number in {column!r}")
         names = [f"{column} low", f"{column} high"], ["low", "high"]
-        ends = [float(rows[name].item()) for pair in names if {*pair} <= {*rows} for name in pair]
+        ends = [
+            float(rows[name].item())
+            for pair in names
+            if {*pair} <= {*rows} and all(rows[[*pair]].iloc[0])
+            for name in pair
+        ]
         value = Measured(numbers[0])
         value.low, value.high = (numbers[1:] or ends or [value, value])[:2]
         return value
