@@ -151,17 +151,17 @@ def test_truth_of_the_mesh_study_no_longer_moves():
     assert (locked < default).all(axis=None) and (default < truth).all(axis=None)
 
 
-def test_the_first_page_quotes_the_mesh_error_of_many_sevens():
-    """The book's first page says what the table of 200 sevens says; the extrapolation is near the truth."""
+def test_the_readme_quotes_the_mesh_error_of_many_sevens():
+    """README says what the table of 200 sevens says; the extrapolation is near the truth."""
     table = pd.read_csv(paths.REFERENCE / "mesh_error.csv").set_index(["element", "refine", "structure"]).sort_index()
     truth = table.loc["truth"].droplevel("refine")
     assert len(truth) == 200
     short = -100 * (table.loc["mean-dilatation", 1] / truth - 1)
-    assert (1.96 * short.sem()).round(1).eq(0.1).all()  # the page says ± 0.1
+    assert (1.96 * short.sem()).round(1).eq(0.1).all()  # README says ± 0.1
     assert (short.width > 0).all() and (short.hull_area > 0).all() and 0.88 < (short.height > 0).mean() < 0.95
     height, width, area = short[["height", "width", "hull_area"]].mean()
     quoted = f"{height:.1f} % too low, {width:.1f} % too narrow and {area:.1f} % too small in hull area"
-    assert quoted in " ".join((paths.BOOK / "index.md").read_text(encoding="utf-8").split())
+    assert quoted in " ".join((paths.ROOT / "README.md").read_text(encoding="utf-8").split())
     note = json.loads((paths.REFERENCE / "mesh_error.json").read_text(encoding="utf-8"))
     assert note["largest_difference_from_biquadratic_percent"] < 0.1
 
@@ -175,9 +175,8 @@ def test_calibration_study_tells_locking_from_the_rest_and_no_more():
         for element, refine in (("mean-dilatation", 1), ("stabilised", 1), ("q1", 1), ("mean-dilatation", 2))
     )
     excluded = [("q1", 2, 0.5, True), ("mean-dilatation", 2, 0.5, True), ("stabilised", 2, 0.5, True)]
-    excluded += [("mean-dilatation", 1, 0.5, False), ("mean-dilatation", 1, 0.6, True)]
+    excluded += [("mean-dilatation", 1, *other) for other in ((0.5, False), (0.4, True), (0.6, True))]
     assert (table.loc[excluded].change_low > 0).all()
-    assert table.loc[("mean-dilatation", 1, 0.4, True)].change_low < 0
     assert plain.change_low > 3 and -0.1 < moose.change_low < moose.change_high < 0.1
     assert default.height_percent < 0 < default.width_percent < fine.width_low
 
