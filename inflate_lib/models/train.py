@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
+import torch
 from joblib import Parallel, delayed, effective_n_jobs
 
 from inflate_lib._cache import cached, digest, step_version
@@ -166,7 +167,8 @@ def training_cost(names: Sequence[str], recipe: Recipe, data, steps: int = 200) 
 def _side_by_side(task, names, training):
     """``task(name, threads)`` for each name, as many at a time as the device bears."""
     jobs = _jobs(names, training)
-    threads = max(1, effective_n_jobs(-1) // (jobs * ranks.world()))
+    # No more than PyTorch was given (OMP_NUM_THREADS): of notebooks that run side by side, threads wait for each other.
+    threads = max(1, min(effective_n_jobs(-1) // (jobs * ranks.world()), torch.get_num_threads()))
     return Parallel(n_jobs=jobs)(delayed(task)(name, threads) for name in names)
 
 
