@@ -34,9 +34,7 @@ class _Distillation(Run):
         self.teacher = copy.deepcopy(teacher.net).to(self.device).eval().requires_grad_(False)
         self.net.load_state_dict(self.teacher.state_dict(), strict=False)  # all but what takes w
         torch._foreach_copy_(self.ema, [p.detach() for p in self.parameters])
-        self.weights = torch.ones_like(
-            self.weights
-        )  # the teacher's answer has no noise of which some should count less
+        self.weights = torch.ones_like(self.weights)  # the teacher's answers hold no noise: all times count alike
 
     def answer(self, x: Tensor, t: Tensor, y: Tensor, dropped: Tensor, x0: Tensor, noise: Tensor):
         generator = random_generator(self.config.seed, 7, self.step)

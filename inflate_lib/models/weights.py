@@ -213,7 +213,7 @@ def load_model(name: str, profile: str = "laptop") -> Model:
         warnings.warn(f"{there[name]} is not calibrated: `inflate card --profile {profile}` does it", stacklevel=2)
     model = _model(name, trained, trained.metadata, table)
     others = {purpose: _model(name, trained, about, table) for purpose, about in _samplers(trained).items()}
-    if (student := _student(there[name])) is not None:
+    if (student := _student(there[name], trained)) is not None:
         others["quick"] = _model(name, student, student.metadata, table)
     return replace(model, others=others)
 
@@ -278,7 +278,7 @@ def trained_models(names: Sequence[str], recipe: Recipe, data: "xr.Dataset") -> 
         trained, ways = TrainedModel.load(found[name]), {"faithful": dict(recipe.sampling), **recipe.ways()}
         asked = {purpose: (trained, _samplers(trained).get(purpose, {})) for purpose in ways}
         asked["faithful"] = trained, trained.metadata
-        if "quick" in ways and (student := _student(found[name])) is not None:
+        if "quick" in ways and (student := _student(found[name], trained)) is not None:
             asked["quick"] = student, student.metadata
         made = {
             purpose: _model(name, one, {"sampling": way, "calibration": _stored(about, way, recipe)}, table)
@@ -298,13 +298,13 @@ def _samplers(trained):
     return trained.metadata.get("samplers", {})
 
 
-def _student(path):
-    """The student of the model in a file, if there is one, and it is of that very teacher."""
+def _student(path, teacher):
+    """The student of the model in a file, if there is one, and it is of this very teacher."""
     file = path.parent / STUDENTS / path.name
     if not file.is_file():
         return None
     student = TrainedModel.load(file)
-    return student if student.metadata.get("teacher") == TrainedModel.load(path).fingerprint else None
+    return student if student.metadata.get("teacher") == teacher.fingerprint else None
 
 
 def _stored(about, sampling, recipe):

@@ -1,6 +1,6 @@
 """Pictures of what the paper leaves out: held-out targets, novelty, baselines, best of n."""
 
-import re
+from itertools import cycle
 
 import numpy as np
 
@@ -175,7 +175,7 @@ def plot_controls(table):
     fig, axes = figure(1, len(kinds), height=8.5, sharex=True, sharey=True)
     looks = list(zip("osD^v", (COLOURS.wall, COLOURS.target, COLOURS.medium, COLOURS.high, COLOURS.ink), strict=True))
     for ax, (kind, here) in zip(axes, kinds.items(), strict=True):
-        for (name, rows), (mark, colour) in zip(table[here].groupby("control", sort=False), looks, strict=False):
+        for (name, rows), (mark, colour) in zip(table[here].groupby("control", sort=False), cycle(looks)):
             interval = np.abs(rows[["median low", "median high"]].to_numpy().T - rows["median"].to_numpy())
             line = "none" if kind == "pixel by pixel" else "--"  # those differ in two efforts: no line
             style = {"color": colour, "marker": mark, "markersize": 5, "linestyle": line, "linewidth": 1}
@@ -243,22 +243,19 @@ def plot_frontier(table):
     for ax in axes.flat[len(names) :]:
         ax.set_axis_off()
     lines = {
-        "DDIM, $w = 3$": (lambda way: re.fullmatch(r"\d+ steps", way), {"color": COLOURS.wall, "fmt": "o-"}),
-        "second order, $w = 5$": (
-            lambda way: re.fullmatch(r"second order, w = 5(, \d+ steps)?", way),
-            {"color": COLOURS.target, "fmt": "s--"},
-        ),
-        "other": (lambda way: True, {"color": COLOURS.ghost, "fmt": "x"}),
+        "DDIM, $w = 3$": (r"\d+ steps", COLOURS.wall, "o-"),
+        "second order, $w = 5$": (r"second order, w = 5(?:, \d+ steps)?", COLOURS.target, "s--"),
+        "other": (".*", COLOURS.ghost, "x"),
     }
     for ax, name in zip(axes.flat, names, strict=False):
         left = table[table["descriptor"] == name].sort_values("evaluations")
-        for label, (belongs, style) in lines.items():
-            mine = left["way"].map(lambda way, belongs=belongs: bool(belongs(way)))
+        for label, (pattern, colour, look) in lines.items():
+            mine = left["way"].str.fullmatch(pattern)
             rows, left = left[mine], left[~mine]
-            ax.plot(rows["variety"], rows["R²"], style["fmt"], color=style["color"], markersize=4, label=label)
+            ax.plot(rows["variety"], rows["R²"], look, color=colour, markersize=4, label=label)
             for _, row in rows.iterrows() if label != "other" else ():
                 near = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": 7}
-                ax.annotate(row["evaluations"], (row["variety"], row["R²"]), color=style["color"], **near)
+                ax.annotate(row["evaluations"], (row["variety"], row["R²"]), color=colour, **near)
         ax.set(title=name, xlabel="variety, as a share of the data's", ylabel="$R^2$")
     fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return fig

@@ -1,23 +1,10 @@
 """The figures of the diffusion chapters show what they are given."""
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 
-mpl.use("Agg")
-
-from matplotlib import pyplot as plt
-
 from inflate_lib.diffusion import cosine_schedule, linear_schedule
 from inflate_lib.plotting import diffusion as figures
-from inflate_lib.plotting import in_style
-
-
-@pytest.fixture(autouse=True)
-def styled():
-    with in_style():
-        yield
-    plt.close("all")
 
 
 def test_denoising_strip_picks_the_states_by_step():

@@ -2,13 +2,9 @@
 
 from itertools import pairwise
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
-
-mpl.use("Agg")
-
 from matplotlib import pyplot as plt
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
@@ -16,18 +12,11 @@ from matplotlib.colors import to_rgba
 from inflate_lib import describe, inflate, label_image, load_sevens, paths, simulate_dataset
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.experiments.targets import find_clusters
-from inflate_lib.plotting import in_style, style
-from inflate_lib.plotting.evaluation import plot_baselines, plot_controls, plot_selection
+from inflate_lib.plotting import style
+from inflate_lib.plotting.evaluation import plot_baselines, plot_controls, plot_frontier, plot_selection
 from inflate_lib.plotting.results import plot_axis_density, plot_generated, plot_generated_axes
 from inflate_lib.plotting.structures import draw_pairs, plot_clusters, plot_medial_axes
 from inflate_lib.plotting.verification import plot_mesh_study, plot_tube
-
-
-@pytest.fixture(autouse=True)
-def styled():
-    with in_style():
-        yield
-    plt.close("all")
 
 
 @pytest.fixture(scope="module")
@@ -168,3 +157,23 @@ def test_the_legend_of_the_tube_is_clear_of_its_lines(results, refinements):
     fig.canvas.draw()
     plot = fig.axes[1]
     assert plot.get_legend().get_window_extent().y0 >= plot.get_window_extent().y1
+
+
+def test_the_frontier_joins_ways_that_differ_in_their_steps_alone():
+    ways = [
+        "8 steps",
+        "4 steps",
+        "second order, w = 5",
+        "second order, w = 5, 12 steps",
+        "second order",
+        "w = 5",
+        "η = 0",
+    ]
+    table = pd.DataFrame({"descriptor": "height", "way": ways, "evaluations": [16, 8, 16, 24, 16, 16, 16]})
+    table["R²"], table["variety"] = np.linspace(0.8, 0.9, 7), np.linspace(0.7, 1, 7)
+    fig = plot_frontier(pd.concat([table, table.assign(descriptor="axis")]))
+    for ax in fig.axes[:2]:
+        first, second, other = ax.lines
+        assert list(first.get_xdata()) == list(table.variety[[1, 0]])  # the fewest evaluations come first
+        assert list(second.get_xdata()) == list(table.variety[[2, 3]])
+        assert len(other.get_xdata()) == 3 and other.get_linestyle() == "None"
