@@ -515,7 +515,7 @@ from inflate_lib import paths
 def make(target, scratch):
     part = scratch / "part"
     if not part.exists():
-        part.write_text("first half, ")
+        part.write_text(f"first half by {os.getpid()}, ")
         (paths.ROOT / "kernel.pid").write_text(str(os.getpid()))
         time.sleep(120)
     target.write_text(part.read_text() + "resumed")
@@ -539,6 +539,7 @@ def test_a_killed_run_ends_its_kernel_leaves_nothing_and_is_resumed(home, kill):
     add(home, "01_first", LONG_STEP)
     environment = {**os.environ, "INFLATE_HOME": str(home), "INFLATE_CACHE": str(home / "data" / "cache")}
     command = [sys.executable, "-c", "from inflate_lib.cli.app import run; run()", "reproduce", "--only", "01_first"]
+    command += ["--profile", "ci"]
     first = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     mark = home / "kernel.pid"
     deadline = time.monotonic() + 90
@@ -557,4 +558,4 @@ def test_a_killed_run_ends_its_kernel_leaves_nothing_and_is_resumed(home, kill):
     assert not alive(kernel)
     assert not [path for path in (home / "book" / "notebooks").iterdir() if "ipynb" in path.name]
     run(only=["first"])
-    assert "first half, resumed" in (home / "book" / "notebooks" / "01_first.ipynb").read_text()
+    assert f"first half by {kernel}, resumed" in (home / "book" / "notebooks" / "01_first.ipynb").read_text()

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from inflate_lib import paths
 from inflate_lib.cli.app import _load_commands
+from inflate_lib.models.recipe import load_recipe
 
 PAGES = [*paths.ROOT.glob("*.md"), *paths.BOOK.glob("*.md"), *paths.BOOK.glob("commands/*.md")]
 #: A command in a line: its name, and the rest.
@@ -67,20 +68,29 @@ QUICK = [
     (command, output)
     for page in PAGES
     for command, output in sessions(page)
-    if output and re.match(r"inflate (simulate|info)\b[^|>]*$", command)
+    if output and re.match(r"inflate (simulate|info|dataset --source)\b[^|>]*$", command)
 ]
 
 
 @pytest.mark.parametrize(("command", "output"), QUICK, ids=[command for command, _ in QUICK])
 def test_quick_commands_print_what_is_shown(command, output, tmp_path, monkeypatch):
-    """Where a page has `…`, anything may stand; seconds, the only numbers with two decimals, may differ."""
+    """Where a page has `…`, anything may stand, and above lines of progress; seconds may differ."""
     shutil.copytree(paths.ROOT / "examples", tmp_path / "examples")
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(_load_commands(), shlex.split(command)[1:])
     assert done.exit_code == 0, done.output
     shown, printed = (re.sub(r"│ \d+\.\d\d +│", "│ seconds │", text.strip()) for text in (output, done.output))
     pattern = re.escape(shown).replace("…", "(?s:.*?)")
-    assert re.fullmatch(pattern, printed), printed
+    assert re.fullmatch(rf"(?:inflating structures: .*\n)*{pattern}", printed), printed
+
+
+def test_the_dry_run_that_is_shown_is_of_the_recipe_of_today():
+    (command, output), *_ = sessions(paths.BOOK / "commands" / "train.md")
+    seconds, steps, rate, hours = map(float, output.splitlines()[2].split()[1:5])
+    recipe = load_recipe(re.search(r"--profile (\w+)", command).group(1))
+    assert steps == recipe.training["steps"]
+    assert rate == pytest.approx(recipe.training["batch_size"] / seconds, rel=1e-3)
+    assert hours == pytest.approx(steps * seconds / 3600, rel=1e-2)
 
 
 def test_every_command_is_shown_in_use(commands):
