@@ -6,6 +6,9 @@ Needs Chromium or Chrome (Debian: `apt-get install chromium`) and the package pl
 import base64
 import json
 import re
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urljoin
 
 import numpy as np
 import pytest
@@ -97,9 +100,15 @@ def test_there_are_pages():
     assert len(PAGES) > len(list(paths.NOTEBOOKS.glob("[0-9][0-9]_*.md")))
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_on_a_desktop(desktop, name):
-    page = desktop.open(name)
+@pytest.fixture(scope="module", params=PAGES)
+def one(request, desktop):
+    """The name of a page that has just been opened in the window of the desktop, once for all that looks at it."""
+    desktop.open(request.param)
+    return request.param
+
+
+def test_a_page_on_a_desktop(desktop, one):
+    page = desktop.page
     assert not desktop.complaints
     assert [url for url in desktop.requests if not url.startswith(("file:", "data:", "blob:"))] == []
     assert too_wide(page) == []
@@ -127,9 +136,8 @@ def test_a_page_on_a_phone_at_night(phone_at_night, name):
     assert set(sheets) <= {"rgb(255, 255, 255)"}, "a figure without its white sheet in the dark theme"
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_equations_are_set_and_images_described(desktop, name):
-    page = desktop.open(name)
+def test_equations_are_set_and_images_described(desktop, one):
+    page = desktop.page
     sources = page.locator("article .math").count()
     assert page.locator("article mjx-container").count() >= sources
     assert page.locator("mjx-merror, [data-mjx-error]").count() == 0
@@ -138,23 +146,47 @@ def test_equations_are_set_and_images_described(desktop, name):
     assert page.evaluate(nameless) == []
 
 
-def test_every_link_leads_somewhere(desktop):
+def test_a_page_says_which_run_it_comes_from(desktop, one):
+    if one in ("genindex.html", "search.html", "py-modindex.html"):
+        return
+    footer = desktop.page.locator(".extra_footer").inner_text()
+    assert re.search(rf"profile {PROFILE} · commit \w{{7,10}}.* · \d{{4}}-\d\d-\d\d", footer)
+    if stamp := executed_under(paths.EXECUTED / f"{one.removeprefix('notebooks/').removesuffix('.html')}.ipynb"):
+        badge = desktop.page.locator(".profile-badge")
+        assert badge.count() == 1 and badge.is_visible()
+        assert f"{stamp['profile']} profile" in badge.inner_text()
+
+
+class Anchors(HTMLParser):
+    """Where the links of a page lead, and what a link can lead to on it."""
+
+    def __init__(self, name):
+        super().__init__()
+        self.address, self.names, self.links = (HTML / name).as_uri(), set(), set()
+        self.feed((HTML / name).read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        self.names.add(found.get("id"))
+        if tag == "a" and "href" in found:
+            self.links.add(urljoin(self.address, found["href"]))
+
+
+def test_every_link_leads_somewhere():
     """Within the book every page and every anchor; links to the outside are only checked for their form."""
-    anchors, links = {}, []
-    for name in PAGES:
-        page = desktop.open(name)
-        anchors[(HTML / name).as_uri()] = set(page.evaluate("[...document.querySelectorAll('[id]')].map((e) => e.id)"))
-        links += [(name, url) for url in page.evaluate("[...document.links].map((a) => a.href)")]
-    dead = []
-    for name, url in links:
-        address, _, anchor = url.partition("#")
-        if address.startswith("file:"):
-            path = address.removeprefix("file://").partition("?")[0]
-            there = address in anchors or (HTML / path).is_file()
-            if not there or (anchor and address in anchors and anchor not in anchors[address]):
-                dead.append(f"{name}: {url}")
-        elif not address.startswith(("https://", "mailto:", "javascript:")):
-            dead.append(f"{name}: {url}")
+    pages, dead = [Anchors(name) for name in PAGES], []
+    anchors = {page.address: page.names for page in pages}
+    for page in pages:
+        for url in page.links:
+            address, _, anchor = url.partition("#")
+            if address.startswith("file:"):
+                path = unquote(address.removeprefix("file://").partition("?")[0])
+                there = address in anchors or Path(path).is_file()
+                if not there or (anchor and address in anchors and unquote(anchor) not in anchors[address]):
+                    dead.append(f"{page.address}: {url}")
+            elif not address.startswith(("https://", "mailto:", "javascript:")):
+                dead.append(f"{page.address}: {url}")
+    assert sum(len(page.links) for page in pages) > 20 * len(pages)
     assert not dead
 
 
@@ -170,19 +202,6 @@ def test_the_book_is_not_too_large():
     sizes = {path: path.stat().st_size for path in HTML.rglob("*") if path.is_file()}
     largest = sorted(sizes.items(), key=lambda item: -item[1])[:5]
     assert sum(sizes.values()) <= LARGEST, [f"{path.name}: {size}" for path, size in largest]
-
-
-def test_every_page_says_which_run_it_comes_from(desktop):
-    for name in PAGES:
-        page = desktop.open(name)
-        if name in ("genindex.html", "search.html", "py-modindex.html"):
-            continue
-        footer = page.locator(".extra_footer").inner_text()
-        assert re.search(rf"profile {PROFILE} · commit \w{{7,10}}.* · \d{{4}}-\d\d-\d\d", footer), name
-        if stamp := executed_under(paths.EXECUTED / f"{name.removeprefix('notebooks/').removesuffix('.html')}.ipynb"):
-            badge = page.locator(".profile-badge")
-            assert badge.count() == 1 and badge.is_visible(), name
-            assert f"{stamp['profile']} profile" in badge.inner_text()
 
 
 # --- what reacts -----------------------------------------------------------------------------------------------------
