@@ -42,7 +42,9 @@ images are not in here.
 
 Minutes are those of the clock for one model, on the device named. On a CPU as many models as there are cores train
 side by side, with one thread each, so that two cores trained all of these in half the sum. The loss is the mean of
-the last interval of training, the held-out loss the simple loss on the structures that were left out.
+the last interval of training, the held-out loss the simple loss on the structures that were left out. Losses of
+different models are not comparable, since the descriptors that they are given differ; accuracy is measured below.
+The two losses of one model are averages of different kinds, which the book's chapter on training compares.
 
 ## Accuracy
 
@@ -51,9 +53,15 @@ structure was drawn for each and inflated, and what it achieved was compared wit
 {sampling}; {calibration}. Ways of sampling for other purposes differ in what is named: {others}. Where there is a
 folder `students`, *quick* is answered by networks into which guidance was distilled, which are asked once a step.
 
-In brackets: 95 % bootstrap intervals. Errors are those of *valid* structures: drawings of one closed structure that
-converges at each load step. *Buildable* are those of them whose wall nowhere holds together in a single node and
-crosses no wall at any load step; of the real structures of the data {buildable} are.
+In brackets: 95 % bootstrap intervals over targets and noise. They do not show how much another training would change
+the numbers: each model was trained once, from one seed.
+
+A drawing is *valid* if it gives one closed structure, fits the frame and has an equilibrium at every load step; a valid
+structure is *buildable* if its wall has no joint of one node and crosses no wall at any load step. Both are shares of
+all drawings; of the real structures of the data {buildable} are buildable. Errors are those of valid structures.
+
+A joint model is calibrated for any of height, width and area together, and for each other descriptor alone, as far
+as it follows them. For other combinations, such as a stress beside a height, it is given the targets themselves.
 
 {accuracy}
 

@@ -154,6 +154,17 @@ def test_code_fits_the_page_and_what_is_not_to_be_read_is_folded(chapter):
                 assert {"hide-input", "hide-cell", "remove-cell"} & set(tags), cell.source.splitlines()[0]
 
 
+@pytest.mark.parametrize(
+    "page",
+    ["README.md", "book/glossary.md", "inflate_lib/experiments/card.py", "data/pretrained/laptop/README.md"]
+    + ["notebooks/11_scalar_targets.md", "notebooks/19_verification.md"],
+)
+def test_valid_and_buildable_are_defined_in_the_same_words_everywhere(page):
+    text = " ".join(re.sub(r"\{term\}`(.*?)`", r"\1", (paths.ROOT / page).read_text(encoding="utf-8")).split())
+    assert "gives one closed structure, fits the frame and has an equilibrium at every load step" in text
+    assert "wall has no joint of one node and crosses no wall at any load step" in text
+
+
 @pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
 def test_a_chapter_is_read_in_twenty_minutes(chapter):
     assert reading_minutes(chapter) <= 20
