@@ -51,7 +51,7 @@ The two losses of one model are averages of different kinds, which the book's ch
 For each model the descriptors of {n} held-out structures that lie in the range of its training data were asked for, one
 structure was drawn for each and inflated, and what it achieved was compared with what was asked for; sampling:
 {sampling}; {calibration}. Ways of sampling for other purposes differ in what is named: {others}. Where there is a
-folder `students`, *quick* is answered by networks into which guidance was distilled, which are asked once a step.
+folder `students`, *quick* draws with networks into which guidance was distilled, evaluated once a step.
 
 In brackets: 95 % bootstrap intervals over targets and noise. They do not show how much another training would change
 the numbers: each model was trained once, from one seed.
