@@ -76,7 +76,7 @@ def _opponents():
     table = pd.read_csv(paths.REFERENCE / "opponents.csv").query("targets == 'all'").set_index("start")
     drawn, retrieved = table.loc["model"], table.loc["training"]
     return (
-                "In a search for designs, the nearest training structures are the better start. Refined in the same way for "
+        "In a search for designs, the nearest training structures are the better start. Refined in the same way for "
         f"the same time, they meet {retrieved['met']:.0f} of {retrieved['n']:.0f} held-out targets and the model's "
         f"drawings {drawn['met']:.0f}, which may be luck; but the first design comes after {retrieved['first']:.2g} s "
         f"instead of {drawn['first']:.2g} s. On the other hand, {retrieved['copies']:.0f} % of their designs are "
