@@ -125,7 +125,8 @@ def plot_losses(histories: Mapping[str, Mapping[str, list]]):
 def plot_losses_in_time(times, own, others: Mapping[str, np.ndarray]):
     """Squared error (k,) at time steps (k,) with the own descriptor, and by how much it grows with another or none."""
     fig, (left, right) = figure(1, 2, height=5.8)
-    left.semilogy(times, own, "-o", color=COLOURS.wall, markersize=3)
+    left.plot(times, own, "-o", color=COLOURS.wall, markersize=3)
+    logarithmic(left, across=False)
     left.set(xlabel="$t$", ylabel="squared error per pixel")
     for (name, losses), style, colour in zip(others.items(), LINE_STYLES, (COLOURS.target, COLOURS.wall), strict=False):
         right.plot(times, 1e3 * (losses - own), style, marker="o", markersize=3, color=colour, label=name)

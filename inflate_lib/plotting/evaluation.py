@@ -233,7 +233,7 @@ def _white(images):
 
 
 def plot_frontier(table):
-    """Accuracy over variety of some ways of sampling, a panel for each descriptor; numbers are evaluations.
+    """Accuracy over variety of ways of sampling, a panel for each descriptor; at the ends of lines the evaluations.
 
     ``table`` is a frame with the columns descriptor, way, evaluations, R² and variety, as ``benchmarks/sampler.py``
     stores it. Ways whose names differ in the steps alone are joined by a line.
@@ -253,7 +253,7 @@ def plot_frontier(table):
             mine = left["way"].str.fullmatch(pattern)
             rows, left = left[mine], left[~mine]
             ax.plot(rows["variety"], rows["R²"], look, color=colour, markersize=4, label=label)
-            for _, row in rows.iterrows() if label != "other" else ():
+            for _, row in rows.iloc[[0, -1][: len(rows)]].iterrows() if label != "other" else ():
                 near = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": 7}
                 ax.annotate(row["evaluations"], (row["variety"], row["R²"]), color=colour, **near)
         ax.set(title=name, xlabel="variety, as a share of the data's", ylabel="$R^2$")
