@@ -1,6 +1,6 @@
 """What the laboratory has to find: structures inflated by `inflate_lib`, written to `reference.json` beside this file.
 
-Run it where the solver, the labels or the descriptors of the library have changed: `python lab/tests/write_reference.py`.
+Run it where solver, labels or descriptors of the library have changed: `python lab/tests/write_reference.py`.
 The structures are embedded digits, drawings of our model, and junk; no image of MNIST is among them.
 """
 
