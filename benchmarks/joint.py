@@ -8,7 +8,11 @@ parts are kept in the cache: a script that was stopped goes on where it was.
 
 "One target" is judged as in the model card. For "several targets" a structure misses by the largest of its relative
 errors, that of an axis being the mean distance of its points over the height. There a single model is told what it
-understands, the rest is left to luck and choice; what is not valid misses by any measure.
+understands, the rest is left to luck and choice; what is not valid misses by any measure. "Outline" asks the joint
+model for outlines, told the outline, or what an outline could be reduced to, or both: one drawing each, judged by its
+distance from the outline.
+
+All are asked as for designs, quickly: by their students.
 """
 
 import argparse
@@ -26,7 +30,7 @@ from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
-from inflate_lib.descriptors.registry import JOINT, PARTS, PHYSICAL, columns
+from inflate_lib.descriptors.registry import JOINT, PARTS, columns
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.experiments.run import held_out_targets, judge, model_digest
@@ -43,6 +47,8 @@ TOGETHER = (
     ("height", "stress"),
     ("stress", "axis"),
 )
+REDUCED = ("height", "width", "area", "axis")
+TOLD = (REDUCED, ("outline",), (*REDUCED, "outline"))
 NEAR = 0.05
 PIECE = 200  # structures drawn and inflated at a time, which is what a stopped script can lose
 COLUMNS = {name: columns(name, PARTS) for name in PARTS}  # of what the joint model is told
@@ -52,8 +58,8 @@ def options():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--profile", default="laptop", help="whose committed weights are asked")
     parser.add_argument("--targets", type=int, default=200, help="held-out targets")
+    parser.add_argument("--outlines", type=int, default=100, help="held-out outlines, no more than targets")
     parser.add_argument("--candidates", type=int, default=4, help="for each of several targets at once")
-    parser.add_argument("--guidance", type=float, nargs="+", default=[3.0], help="strengths tried with the joint model")
     parser.add_argument("--source", default="mnist")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--name", default="joint", help="of the files in data/reference")
@@ -66,15 +72,14 @@ class Study:
     def __init__(self, given):
         self.given, self.started, self.rows = given, time.monotonic(), []
         self.recipe = load_recipe(given.profile)
-        self.models = {name: load_model(name, given.profile).sampled() for name in (*DESCRIPTORS, JOINT)}
+        self.models = {
+            name: load_model(name, given.profile).made_for("quick").sampled() for name in (*DESCRIPTORS, JOINT)
+        }
         self.data = simulated_sevens(given.source)
 
     def ways(self, single=None):
-        """The models, not calibrated: the joint model with each guidance, after the single one."""
-        if single:
-            yield self.models[single]
-        for w in self.given.guidance:
-            yield self.models[JOINT].sampled(guidance=w)
+        """The models, not calibrated: the single one, then the joint model."""
+        return [self.models[name] for name in (single, JOINT) if name]
 
     def one(self, name):
         """Rows of one descriptor: its own model, where it has one, and the joint model, on the same targets."""
@@ -92,20 +97,9 @@ class Study:
     def several(self, parts):
         """Rows of several descriptors at once: the single model that takes most of them, and the joint model."""
         single = next(one.name for one in models_in_order() if set(one.parts) <= set(parts))
-        joint, seed = descriptor_matrix(self.data, JOINT), self.given.seed
-        _, rows = held_out_targets(self.data, JOINT, self.models[JOINT], self.given.targets, seed)
-        asked = np.full(joint.shape, np.nan)
-        for part in parts:
-            asked[:, COLUMNS[part]] = joint[:, COLUMNS[part]]
-        known = np.random.default_rng([seed, 5]).permutation(training_rows(self.data))[: self.recipe.n_calibration]
+        joint, rows = descriptor_matrix(self.data, JOINT), self.rows_asked()
         for model in self.ways(single):
-            told = asked if model.name == JOINT else descriptor_matrix(self.data, model.name)
-            calibration = self.calibration(model, told[known])
-            wanted = np.array(told[rows])
-            known_columns = np.isfinite(wanted).all(axis=0)
-            if calibration:
-                wanted[:, known_columns] = calibration.told(wanted[:, known_columns])
-            drawn = self.drawn(model, np.repeat(wanted, self.given.candidates, axis=0), seed)
+            drawn = self.answers(model, parts, rows, self.given.candidates)
             target = np.repeat(joint[rows], self.given.candidates, axis=0)
             achieved = descriptor_matrix(drawn, JOINT)
             misses = [
@@ -117,6 +111,34 @@ class Study:
                 best = np.arange(len(rows)), worst[:, :n].argmin(axis=1)
                 measured = self.measured(worst[best]) | {"buildable": 100 * float(buildable[best].mean())}
                 self.add("several targets", " and ".join(parts), model, n, measured)
+
+    def outlines(self):
+        """Rows of the joint model, asked for outlines in three ways."""
+        rows, model = self.rows_asked()[: self.given.outlines], self.models[JOINT]
+        wanted = descriptor_matrix(self.data, "outline")[rows]
+        for parts in TOLD:
+            drawn = self.answers(model, parts, rows, 1)
+            miss = get_descriptor("outline").error.of(descriptor_matrix(drawn, "outline"), wanted)
+            measured = self.measured(np.where(drawn["valid"].values, miss, np.inf), percent=1) | {"unit": "px"}
+            self.add("outline", " and ".join(parts), model, 1, measured)
+
+    def rows_asked(self):
+        """Held-out structures, all of whose descriptors the joint model has seen the like of."""
+        return held_out_targets(self.data, JOINT, self.models[JOINT], self.given.targets, self.given.seed)[1]
+
+    def answers(self, model, parts, rows, n):
+        """n drawings for the descriptors of each of some structures; of a joint model for some parts of them."""
+        told = descriptor_matrix(self.data, model.name)
+        if model.name == JOINT:
+            asked = np.concatenate([COLUMNS[part] for part in parts])
+            told[:, np.setdiff1d(np.arange(told.shape[1]), asked)] = np.nan
+        known = np.random.default_rng([self.given.seed, 5]).permutation(training_rows(self.data))
+        calibration = self.calibration(model, told[known[: self.recipe.n_calibration]])
+        wanted = told[rows]
+        columns = np.isfinite(wanted).all(axis=0)
+        if calibration:
+            wanted[:, columns] = calibration.told(wanted[:, columns])
+        return self.drawn(model, np.repeat(wanted, n, axis=0), self.given.seed)
 
     def calibration(self, model, told):
         """What a model has to be told; None for one that does not listen enough."""
@@ -148,11 +170,11 @@ class Study:
             pieces.append(load_dataset(cached("joint", key, make, ".nc")))
         return xr.concat(pieces, "structure", data_vars="minimal", combine_attrs="drop_conflicts")
 
-    def measured(self, worst):
-        """Median of the largest relative errors, and how many are near, with intervals."""
+    def measured(self, worst, percent=100):
+        """Median of the largest relative errors, or of distances, and how many are near, with intervals."""
 
         def statistics(rows):
-            return 100 * np.array([np.median(worst[rows]), np.mean(worst[rows] <= NEAR)])
+            return np.array([percent * np.median(worst[rows]), 100 * np.mean(worst[rows] <= NEAR)])
 
         low, high = bootstrap(statistics, len(worst), seed=self.given.seed)
         row = {"unit": "%", "valid": 100 * np.mean(np.isfinite(worst))}
@@ -170,10 +192,11 @@ class Study:
 def main():
     given = options()
     study = Study(given)
-    for name in (*DESCRIPTORS, *PHYSICAL):
+    for name in dict.fromkeys((*DESCRIPTORS, *PARTS)):
         study.one(name)
     for parts in TOGETHER:
         study.several(parts)
+    study.outlines()
     store(
         pd.DataFrame(study.rows),
         given.name,
@@ -181,7 +204,7 @@ def main():
         data=f"{study.data.attrs['source']}, {study.data.sizes['structure']} structures",
         targets=given.targets,
         profile=given.profile,
-        sampling=study.recipe.sampling,
+        sampling=study.models[JOINT].sampling,
         n_calibration=study.recipe.n_calibration,
         near=NEAR,
     )

@@ -62,19 +62,16 @@ class Study:
     def __init__(self, given):
         torch.set_num_threads(1)
         self.given, self.data = given, simulated_sevens(given.source)
-        self.models = {
-            name: load_model(name, given.profile).made_for("quick")
-            for name in ("height", "width", "area", "box", "axis")
-        }
+        self.model = load_model(profile=given.profile).made_for("quick")
         self.library = self.data["label"].values[training_rows(self.data)]
         self.rows = np.flatnonzero(self.data["buildable"].values & held_out(self.data.sizes["structure"]))
 
     def targets(self, kind):
-        """Held-out targets of a kind that are within reach: model, targets, constraints."""
+        """Held-out targets of a kind that are within reach, each with its constraints."""
         numbers = np.random.default_rng([self.given.seed, list(KINDS).index(kind)])
         found = []
         for row in numbers.permutation(self.rows):
-            name, wanted, constraints = KINDS[kind](self, row, len(found), numbers)
+            wanted, constraints = KINDS[kind](self, row, len(found), numbers)
             if wanted is None:
                 continue
             targets = as_targets(wanted)
@@ -82,7 +79,7 @@ class Study:
                 check_reach(targets.vectors, self.data.isel(structure=training_rows(self.data)))
             except ValueError:
                 continue
-            found.append((self.models[name], targets, constraints))
+            found.append((targets, constraints))
             if len(found) == self.given.targets:
                 return found
         raise SystemExit(f"{kind}: {len(found)} targets are within reach")
@@ -95,9 +92,9 @@ class Study:
             for name, value in values.items()
         }
 
-    def search(self, kind, start, number, model, targets, constraints):
+    def search(self, kind, start, number, targets, constraints):
         """What a search has found, batch by batch, and the designs in the end."""
-        given = self.given
+        given, model = self.given, self.model
         tolerance = TOLERANCE.get(kind, given.tolerance)
 
         seed = int(np.random.SeedSequence([given.seed, list(KINDS).index(kind), number]).generate_state(1)[0])
@@ -151,17 +148,16 @@ class Study:
 
 
 def one_number(study, row, number, rng):
-    name = ("height", "width", "area")[number % 3]
-    return name, study.values(row, name), Constraints()
+    return study.values(row, ("height", "width", "area")[number % 3]), Constraints()
 
 
-def several(model, *names):
-    return lambda study, row, number, rng: (model, study.values(row, *names), Constraints())
+def several(*names):
+    return lambda study, row, number, rng: (study.values(row, *names), Constraints())
 
 
 def outline(study, row, number, rng):
     hull = Shape.of(inflate(study.data["label"].values[row].astype(float))).hull
-    return "axis", {"outline": hull * rng.uniform(1 - STRETCH, 1 + STRETCH, 2)}, Constraints()
+    return {"outline": hull * rng.uniform(1 - STRETCH, 1 + STRETCH, 2)}, Constraints()
 
 
 def under_a_constraint(study, row, number, rng):
@@ -171,24 +167,24 @@ def under_a_constraint(study, row, number, rng):
 def wide_void(study, row, number, rng):
     constraints = Constraints(min_void=VOID_WIDTH * PIXEL)
     narrow = constraints.broken_by(study.data["label"].values[row])
-    return "box", None if narrow else study.values(row, "height", "width"), constraints
+    return None if narrow else study.values(row, "height", "width"), constraints
 
 
 def symmetric(study, row, number, rng):
-    return "height", study.values(row, "height"), Constraints(symmetric=True)
+    return study.values(row, "height"), Constraints(symmetric=True)
 
 
 def keep_out(study, row, number, rng):
     lid = LID * float(study.data["height"][row])
-    return "width", study.values(row, "width"), Constraints(keep_out=(-1.0, lid, 2.0, 3.0))
+    return study.values(row, "width"), Constraints(keep_out=(-1.0, lid, 2.0, 3.0))
 
 
 KINDS = {
     "one number": one_number,
-    "box": several("box", "height", "width"),
-    "axis": several("axis", "axis"),
-    "height, width, area": several("box", "height", "width", "area"),
-    "height, width, area, axis": several("axis", "height", "width", "area", "axis"),
+    "box": several("height", "width"),
+    "axis": several("axis"),
+    "height, width, area": several("height", "width", "area"),
+    "height, width, area, axis": several("height", "width", "area", "axis"),
     "outline": outline,
     "under a constraint": under_a_constraint,
 }
@@ -261,7 +257,7 @@ def main():
         "opponents.py",
         data=f"{study.data.attrs['source']}, {study.data.sizes['structure']} structures",
         profile=given.profile,
-        sampling=dict(study.models["height"].sampling),
+        sampling=dict(study.model.sampling),
         seconds_per_target=given.seconds,
         designs=DESIGNS,
         tolerance={"outline": TOLERANCE["outline"], "all others": given.tolerance},

@@ -4,8 +4,9 @@
     python benchmarks/sampler.py --students     those into which guidance was distilled
 
 The first writes data/reference/sampler.csv, the second sampler_students.csv, which the chapter "Training" shows, each
-with a note beside it that says where it comes from. Every drawing is kept in the cache: a script that was stopped goes
-on where it was.
+with a note beside it that says where it comes from. Of students that were tuned, the second replaces the rows of such
+students, and leaves those that were made before tuning; and the other way round. Every drawing is kept in the cache: a
+script that was stopped goes on where it was.
 
 Each way is calibrated by itself and judged on all held-out targets in range, one drawing each. Variety is the mean
 distance of a hundred drawings for one target, as a share of that of as many real structures nearest to the target;
@@ -21,6 +22,7 @@ import numpy as np
 import pandas as pd
 from stored import seconds, store
 
+from inflate_lib import paths
 from inflate_lib._cache import step_version
 from inflate_lib.alternatives.ablation import evaluate_variant
 from inflate_lib.datasets.simulate import simulated_sevens
@@ -107,6 +109,8 @@ def main():
         for name in FOR_STUDENTS if given.students else WAYS if descriptor in given.thorough else MAIN:
             way = model.sampled(**(FOR_STUDENTS if given.students else WAYS)[name])
             row = {"descriptor": descriptor, "way": name, "evaluations": evaluations(way, targets[0])}
+            if given.students:
+                row["student"] = "tuned" if "tuning" in model.trained.metadata else "distilled"
             row |= evaluate_variant(way, data, targets, given.seed, recipe.n_calibration, n_jobs=1)
             row["unit"] = get_descriptor(descriptor).error.unit
             fit = calibrate(way, data, recipe.n_calibration, given.seed, n_jobs=1)
@@ -120,8 +124,12 @@ def main():
             spent, _ = seconds(lambda way=way, some=some: draw(way, some["targets"]))
             rows.append(row | {"ms": 1000 * spent / TIMED})
             print(f"{time.monotonic() - started:.0f} s: {rows[-1]}", flush=True)
+    table = pd.DataFrame(rows)
+    if given.students and (before := paths.REFERENCE / "sampler_students.csv").is_file():
+        kept = pd.read_csv(before)
+        table = pd.concat([kept[kept["student"] != table["student"].iloc[0]], table])
     store(
-        pd.DataFrame(rows),
+        table,
         "sampler_students" if given.students else "sampler",
         "sampler.py",
         data=f"{data.attrs['source']}, {data.sizes['structure']} structures",

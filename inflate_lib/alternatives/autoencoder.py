@@ -12,12 +12,12 @@ from torch import Tensor, nn
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import whole_number, workers
-from inflate_lib.alternatives._training import train_once
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion.randomness import initialised, random_generator, seed_for
 from inflate_lib.experiments.run import check_targets, judge_once
 from inflate_lib.models.calibration import Calibration
+from inflate_lib.models.surrogate import train_once
 
 if TYPE_CHECKING:
     import xarray as xr

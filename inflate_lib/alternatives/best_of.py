@@ -25,7 +25,7 @@ from inflate_lib.experiments.run import model_digest
 if TYPE_CHECKING:
     import xarray as xr
 
-    from inflate_lib.alternatives.surrogate import Surrogate
+    from inflate_lib.models.surrogate import Surrogate
 
 
 def chances(n_candidates, n):

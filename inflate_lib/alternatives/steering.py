@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from inflate_lib._cache import digest
@@ -26,33 +25,13 @@ from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.diffusion.sampling import denoise, guided, noise_images
 from inflate_lib.diffusion.schedule import at
 from inflate_lib.experiments.run import check_targets, judge_once, model_digest
-from inflate_lib.structures import labels
+from inflate_lib.models.surrogate import soft_label
 
 if TYPE_CHECKING:
-    from inflate_lib.alternatives.surrogate import Surrogate
     from inflate_lib.models import Model
+    from inflate_lib.models.surrogate import Surrogate
 
-_SHARPNESS = 12.0  # of the border between dark and bright; at ∞ it is the threshold of the label image
 _LARGEST = 0.5  # change of a pixel in one step, of the range from −1 to 1
-
-
-def _soft_label(images: Tensor) -> Tensor:
-    """Label images (n, 28, 28) of images (n, 28, 28) in [0, 1], differentiable, in the middle of the bottom edge.
-
-    :func:`inflate_lib.structures.labels.label_image` without what is about broken drawings (pieces, holes): the
-    threshold is a sigmoid, the wall a maximum filter, and the move into the frame a choice of pixels.
-    """
-    digit = F.pad(torch.sigmoid(_SHARPNESS * (images - labels.THRESHOLD)), [labels.THICKNESS] * 4)
-    label = (digit + F.max_pool2d(digit[:, None], 2 * labels.THICKNESS + 1, 1, labels.THICKNESS)[:, 0]) / 2
-    solid = label.detach() > labels.WALL / 2
-    size, frame = label.shape[-1], torch.arange(labels.FRAME)
-    columns, rows = solid.any(dim=1).int(), solid.any(dim=2).int()
-    left, right = columns.argmax(dim=1), size - 1 - columns.flip(1).argmax(dim=1)
-    bottom = size - 1 - rows.flip(1).argmax(dim=1)
-    margin = (labels.FRAME - (right - left + 1)) // 2
-    row = (bottom[:, None] - (labels.FRAME - 1) + frame) % size  # what wraps around is empty
-    column = ((left - margin)[:, None] + frame) % size
-    return label[torch.arange(len(label))[:, None, None], row[:, :, None], column[:, None, :]]
 
 
 def _correction(x0: Tensor, wanted: Tensor, trained: "Surrogate", columns: np.ndarray) -> Tensor:
@@ -62,7 +41,7 @@ def _correction(x0: Tensor, wanted: Tensor, trained: "Surrogate", columns: np.nd
     """
     with torch.enable_grad():
         x0 = x0.detach().clone().requires_grad_()
-        error = (trained.net(_soft_label((x0[:, 0] + 1) / 2))[:, columns] - wanted).square().sum(dim=1) / 2
+        error = (trained.net(soft_label((x0[:, 0] + 1) / 2))[:, columns] - wanted).square().sum(dim=1) / 2
         (gradient,) = torch.autograd.grad(error.sum(), x0)
     steepness = gradient.square().flatten(1).sum(dim=1).clamp(min=1e-12)
     step = -(2 * error.detach() / steepness)[:, None, None, None] * gradient

@@ -58,7 +58,7 @@ def _results() -> str:
     for name in DESCRIPTORS:
         row = measured[name]
         percent = row["median error (%)"]
-        median = f"{row['median point distance (px)']} px" if percent == "–" else f"{percent} %"
+        median = f"{row['median distance (px)']} px" if percent == "–" else f"{percent} %"
         measured_shares = " | ".join(f"{row[f'{share} (%)']} %" for share in shares)
         lines.append(f"| {name} | {row['R²']} | {median} | {measured_shares} |")
     return "\n".join([*lines, "", _opponents(), "", _mesh_error(), "", Tables(paths.EDITION).filled(_TABLE1)])

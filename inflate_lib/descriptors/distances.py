@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inflate_lib.descriptors.shape import axis_height
+from inflate_lib.descriptors.shape import axis_height, outline_height
 from inflate_lib.structures.labels import PIXEL
 
 
@@ -52,18 +52,27 @@ class PointDistance:
     """Mean distance of the points of a line, whose N components are x₀, y₀, x₁, y₁, …; in pixels.
 
     The line rises from the ground, like a medial axis, which ends one increment below the top of its shape. Methods and
-    attributes are those of :class:`RelativeError`.
+    attributes are those of :class:`RelativeError`; ``apart`` and ``height``, in sides, are what another kind of curve
+    changes.
     """
 
     name, noun, unit, factor = "point distance", "distance", "px", 1
     limits, near = (0.25, 0.5, 1.0), 1
 
+    def apart(self, achieved, target):
+        """(…, k) distances of the k points of curves (…, N)."""
+        return _distances(achieved, target)
+
+    def height(self, target):
+        """(…,) heights of the shapes that curves (…, N) belong to."""
+        return axis_height(target.reshape(*target.shape[:-1], target.shape[-1] // 2, 2))
+
     def of(self, achieved, target):
-        return _point_distances(achieved, target).mean(axis=-1)
+        return self.apart(achieved, target).mean(axis=-1) / PIXEL
 
     def share(self, achieved, target):
         """Mean distance over the height of the shape that the target belongs to."""
-        return _distances(achieved, target).mean(axis=-1) / _height(target)
+        return self.apart(achieved, target).mean(axis=-1) / self.height(target)
 
     def scale(self, matrix):
         """One number for all: the coordinates of points belong together, and the first point never moves."""
@@ -74,21 +83,36 @@ class PointDistance:
         middle = np.broadcast_to(typical.mean(axis=0), typical.shape)
         return {
             self.name: (self.unit, distance),
-            "Hausdorff distance": (self.unit, _hausdorff(np.nan_to_num(achieved), target)),
-            "point distance / height": ("%", 100 * distance * PIXEL / _height(target)),
-            "point distance / spread": ("1", distance / _point_distances(typical, middle).mean()),
+            **self.further(achieved, target),
+            f"{self.name} / height": ("%", 100 * distance * PIXEL / self.height(target)),
+            f"{self.name} / spread": ("1", distance / self.of(typical, middle).mean()),
         }
+
+    def further(self, achieved, target):
+        """Another distance, as ``in_units`` gives it."""
+        return {"Hausdorff distance": (self.unit, _hausdorff(np.nan_to_num(achieved), target))}
 
     def limit(self, value):
         return f"{value:g} px"
 
 
-RELATIVE, POINT_DISTANCE = RelativeError(), PointDistance()
+class OutlineDistance(PointDistance):
+    """Mean distance of the parallel supporting lines of two convex outlines, given by their support functions."""
+
+    name = "outline distance"
+
+    def apart(self, achieved, target):
+        return np.abs(np.asarray(achieved) - np.asarray(target))
+
+    def height(self, target):
+        return outline_height(target)
+
+    def further(self, achieved, target):
+        """The largest of these distances is the Hausdorff distance, as far as the directions tell."""
+        return {"Hausdorff distance": (self.unit, self.apart(achieved, target).max(axis=-1) / PIXEL)}
 
 
-def _point_distances(axes, others):
-    """Distances of the points of medial axes from those of others, in pixels: (…, 60), (…, 60) → (…, 30)."""
-    return _distances(axes, others) / PIXEL
+RELATIVE, POINT_DISTANCE, OUTLINE_DISTANCE = RelativeError(), PointDistance(), OutlineDistance()
 
 
 def _hausdorff(axes, others):
@@ -104,7 +128,3 @@ def _hausdorff(axes, others):
 def _distances(axes, others):
     apart = np.asarray(axes) - np.asarray(others)
     return np.linalg.norm(apart.reshape(*apart.shape[:-1], apart.shape[-1] // 2, 2), axis=-1)
-
-
-def _height(targets):
-    return axis_height(targets.reshape(*targets.shape[:-1], targets.shape[-1] // 2, 2))

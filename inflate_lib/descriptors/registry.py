@@ -14,15 +14,27 @@ from scipy.spatial import ConvexHull
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import number, numbers, positive_number
-from inflate_lib.descriptors.distances import POINT_DISTANCE, RELATIVE, PointDistance, RelativeError
+from inflate_lib.descriptors.distances import (
+    OUTLINE_DISTANCE,
+    POINT_DISTANCE,
+    RELATIVE,
+    PointDistance,
+    RelativeError,
+)
 from inflate_lib.descriptors.shape import (
     AXIS_POINTS,
+    OUTLINE_DIRECTIONS,
     area_gradient,
     axis_height,
     check_axis,
+    check_outline,
     medial_axis,
     mirror_axis,
+    mirror_outline,
+    outline_corners,
+    outline_height,
     place_axis,
+    support_function,
 )
 from inflate_lib.mechanics.stress import largest_stretch, von_mises
 
@@ -130,7 +142,7 @@ class Descriptor:
 
     @property
     def is_line(self) -> bool:
-        """Whether the components are the coordinates of the points of one line."""
+        """Whether the components are those of one curve, which mean little one by one."""
         return isinstance(self.error, PointDistance)
 
     @property
@@ -286,6 +298,10 @@ def _axis(shape):
     return medial_axis(shape.hull)
 
 
+def _outline(shape):
+    return support_function(shape.hull)
+
+
 def _stress(shape):
     return von_mises(shape.result).max()
 
@@ -315,6 +331,14 @@ def _height_of_axis(vector):
 
 def _width_of_axis(vector):
     return np.ptp(vector[0::2]), np.inf
+
+
+def _height_of_outline(vector):
+    return (outline_height(vector),) * 2
+
+
+def _width_of_outline(vector):
+    return (vector[0] + vector[OUTLINE_DIRECTIONS // 2],) * 2
 
 
 def _area_of_box(vector):
@@ -348,6 +372,13 @@ def _draw_axis(ax, target, nodes, **style):
     own = {"marker": "o", "markersize": 1.8, "markeredgecolor": "white", "markeredgewidth": 0.3}
     own |= {"linewidth": 0.8, "zorder": 2}
     ax.plot(*points.T, **(style | own))
+
+
+def _draw_outline(ax, target, nodes, color=None, **style):
+    """A polygon on the ground, about the middle."""
+    (left, bottom), (right, _) = nodes.min(axis=0), nodes.max(axis=0)
+    x, y = (outline_corners(target) + [(left + right) / 2, bottom]).T
+    ax.fill(x, y, fill=False, edgecolor=color, linestyle="--", clip_on=False, **style)
 
 
 _add(
@@ -444,7 +475,24 @@ _add(
         draw=_draw_axis,
     )
 )
-_add(Descriptor("joint", "joint", parts=("height", "width", "area", "stress", "stretch", "axis"), any_part=True))
+_add(
+    Descriptor(
+        "outline",
+        "H(θ)",
+        _outline,
+        meaning="support function of the deformed convex hull, from the ground below its middle",
+        components=tuple(f"H at {360 * k / OUTLINE_DIRECTIONS:g}°" for k in range(OUTLINE_DIRECTIONS)),
+        unit="side",
+        sizes={"direction": OUTLINE_DIRECTIONS},
+        flip=mirror_outline,
+        error=OUTLINE_DISTANCE,
+        check=check_outline,
+        bounds={"height": _height_of_outline, "width": _width_of_outline},
+        draw=_draw_outline,
+    )
+)
+_JOINT = ("height", "width", "area", "stress", "stretch", "axis", "outline")
+_add(Descriptor("joint", "joint", parts=_JOINT, any_part=True))
 
 OWN = frozenset(_registry)
 #: Variables of data sets that no further descriptor may have.
@@ -456,6 +504,6 @@ _TAKEN = frozenset(one.variable for one in basic()) | {
 DESCRIPTORS = ("height", "width", "box", "area", "axis")
 #: The physical ones, which no model of their own is trained for.
 PHYSICAL = ("stress", "stretch")
-#: The descriptor that one model takes any combination of the parts of; the axis is the last of them.
+#: The descriptor that one model takes any combination of the parts of.
 JOINT = "joint"
 PARTS = _registry[JOINT].parts

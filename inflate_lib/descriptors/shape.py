@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
 
 AXIS_POINTS = 30
+OUTLINE_DIRECTIONS = 32  # a multiple of four: right, up, left and down are among them
 _EVEN = 1e-3  # relative difference up to which increments of height count as equal
 
 
@@ -131,6 +132,62 @@ def check_axis(name: str, value: Any) -> np.ndarray:
         return points
     y = points[-1, 1] * np.arange(AXIS_POINTS) / AXIS_POINTS
     return np.column_stack([np.interp(y, points[:, 1], points[:, 0]), y])
+
+
+def support_function(points: np.ndarray) -> np.ndarray:
+    """Outline of the convex hull of points as its support function (Schneider 2014, section 1.7).
+
+    H(θ) is how far the hull reaches in the direction (cos θ, sin θ) from the point of the ground below its middle: the
+    distance of the supporting line with this normal. The hull is where all of these half planes overlap.
+
+    Parameters
+    ----------
+    points : (n, 2) float
+
+    Returns
+    -------
+    (32,) float
+        H at θ = 2π k / 32, k = 0, …, 31.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    normals = outline_normals()
+    return (normals @ (points - [(low[0] + high[0]) / 2, low[1]]).T).max(axis=1)
+
+
+def outline_normals() -> np.ndarray:
+    """(32, 2) the directions of :func:`support_function`, exact in the quarters."""
+    angle = 2 * np.pi * np.arange(OUTLINE_DIRECTIONS) / OUTLINE_DIRECTIONS
+    return np.round(np.column_stack([np.cos(angle), np.sin(angle)]), 15)
+
+
+def outline_corners(supports: np.ndarray) -> np.ndarray:
+    """Corners (32, 2) of the polygon whose sides have the outward normals and distances of a support function (32,)."""
+    normals = outline_normals()
+    pairs = np.stack([normals, np.roll(normals, -1, axis=0)], axis=1)
+    return np.linalg.solve(pairs, np.column_stack([supports, np.roll(supports, -1)])[:, :, None])[:, :, 0]
+
+
+def outline_height(supports: np.ndarray) -> np.ndarray:
+    """Height of the shapes of support functions (…, 32)."""
+    up = OUTLINE_DIRECTIONS // 4
+    return supports[..., up] + supports[..., 3 * up]
+
+
+def mirror_outline(supports: np.ndarray) -> np.ndarray:
+    """Support functions (…, 32) of shapes mirrored left to right: H(θ) → H(π − θ)."""
+    return supports[..., (OUTLINE_DIRECTIONS // 2 - np.arange(OUTLINE_DIRECTIONS)) % OUTLINE_DIRECTIONS]
+
+
+def check_outline(name: str, value: Any) -> np.ndarray:
+    """A support function (32,): as it is, or of points (k, 2), the corners of an outline; or a ValueError."""
+    supports = np.asarray(value, dtype=object if isinstance(value, str) else None)
+    if supports.shape != (OUTLINE_DIRECTIONS,):
+        return support_function(check_points(name, value))
+    supports = numbers(name, value, f"{OUTLINE_DIRECTIONS} finite numbers")
+    half = OUTLINE_DIRECTIONS // 2
+    if not np.all(supports + np.roll(supports, half) > 0):
+        raise ValueError(f"{name}: a support function of no shape; its width must be positive in each direction")
+    return supports
 
 
 def check_points(name: str, value: Any) -> np.ndarray:

@@ -30,6 +30,9 @@ class Descriptors:
     medial_axis : (30, 2) float
         Midpoints of the hull's horizontal chords at the heights k h / 30, k = 0, …, 29, from the hull's bottom upwards,
         moved so that the first is the origin.
+    outline : (32,) float
+        Support function of the hull: how far it reaches in the directions 2π k / 32, k = 0, …, 31, from the point of
+        the ground below its middle.
     peak_stress, peak_stretch : float
         Largest von Mises stress, in the units of λ and μ, and largest principal stretch of any element, the mean over
         its Gauss points (:func:`inflate_lib.mechanics.stress.peaks`); NaN for a shape that is known by its nodes alone.
@@ -41,6 +44,7 @@ class Descriptors:
     width: float
     hull_area: float
     medial_axis: np.ndarray
+    outline: np.ndarray
     peak_stress: float = np.nan
     peak_stretch: float = np.nan
     others: Mapping = field(default_factory=dict)
@@ -94,14 +98,14 @@ def descriptor_matrix(data: "xr.Dataset", name: str) -> np.ndarray:
     ----------
     data : xarray.Dataset
         From :func:`inflate_lib.simulate_dataset`.
-    name : {"height", "width", "box", "area", "axis", "stress", "stretch", "joint"}
+    name : {"height", "width", "box", "area", "axis", "outline", "stress", "stretch", "joint"}
         Or a descriptor that was registered.
 
     Returns
     -------
     (n, N) float
         Box as (height, width); the medial axis point by point (x₀, y₀, x₁, y₁, …); joint as height, width, area,
-        stress, stretch, axis. NaN where a structure did not converge.
+        stress, stretch, axis, outline. NaN where a structure did not converge.
 
     Raises
     ------

@@ -62,7 +62,7 @@ def calibrate_weights(
     Into the header of each file go the recipe's ways of sampling and the calibrations for each, and ``reach.npz``
     beside them holds what the structures reach. The weights stay as they are. A joint model is calibrated for every
     combination of height, width and area, and for the axis, stress and stretch alone, as far as it follows them.
-    Students, in a folder ``students``, are calibrated as they are asked: quickly.
+    Students, in a folder ``students``, are calibrated for what they answer: all ways but the first.
 
     Parameters
     ----------
@@ -92,11 +92,13 @@ def calibrate_weights(
     ways = recipe.ways()
     for file in (folder / f"{name}.safetensors" for name in names):
         student = folder / STUDENTS / file.name
-        others = {purpose: way for purpose, way in ways.items() if purpose != "quick" or not student.is_file()}
-        models[file.stem] = _calibrate_file(file, data, recipe, others)
-        if student.is_file():
-            quick = replace(recipe, sampling=ways.get("quick", recipe.sampling))
-            models[file.stem].others["quick"] = _calibrate_file(student, data, quick, {})
+        if not student.is_file():
+            models[file.stem] = _calibrate_file(file, data, recipe, ways)
+            continue
+        others = {purpose: way for purpose, way in ways.items() if purpose != "quick"}
+        quick = _calibrate_file(student, data, replace(recipe, sampling=ways.get("quick", recipe.sampling)), others)
+        models[file.stem] = _calibrate_file(file, data, recipe, {})
+        models[file.stem].others.update(quick.others | {"quick": replace(quick, others={})})
     if not models:
         raise ValueError(f"{folder} holds no weights (*.safetensors); inflate train --out {folder} puts them there")
     save_reach(data, folder)

@@ -4,15 +4,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
+import torch
 
 from inflate_lib._checks import whole_number
 from inflate_lib._files import check_outputs, hand_out
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
-from inflate_lib.descriptors.registry import PHYSICAL
+from inflate_lib.descriptors.registry import PARTS
+from inflate_lib.diffusion import storage
+from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.experiments.calibrate import calibrate_weights
-from inflate_lib.experiments.run import run_held_out
+from inflate_lib.experiments.run import held_out_seed, run_held_out
 from inflate_lib.experiments.tables import score, scores, with_interval
 from inflate_lib.models.recipe import Recipe
 
@@ -51,7 +55,7 @@ The two losses of one model are averages of different kinds, which the book's ch
 For each model the descriptors of {n} held-out structures that lie in the range of its training data were asked for, one
 structure was drawn for each and inflated, and what it achieved was compared with what was asked for; sampling:
 {sampling}; {calibration}. Ways of sampling for other purposes differ in what is named: {others}. Where there is a
-folder `students`, *quick* draws with networks into which guidance was distilled, evaluated once a step.
+folder `students`, these draw with networks into which guidance was distilled, evaluated once a step{tuned}.
 
 In brackets: 95 % bootstrap intervals over targets and noise. They do not show how much another training would change
 the numbers: each model was trained once, from one seed.
@@ -78,12 +82,14 @@ as it follows them. For other combinations, such as a stress beside a height, it
   trained anew.
 """
 
+_TUNED = ", and\nwhich were tuned on what they draw, judged by a surrogate of the simulation"
 _MEASURES = {
     "R²": "R²",
     "median error / target": "median error (%)",
     "mean error / target": "mean error (%)",
     "within 5 %": "within 5 % (%)",
-    "median point distance": "median point distance (px)",
+    "median point distance": "median distance (px)",
+    "median outline distance": "median distance (px)",
     "valid": "valid (%)",
     "buildable": "buildable (%)",
 }
@@ -113,9 +119,12 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
     folder, training, accuracy = Path(folder), {}, {}
     card = folder / "README.md"
     check_outputs([card], ours=_is_card)
-    for name, model in calibrate_weights(folder, data, recipe).items():
+    models = calibrate_weights(folder, data, recipe)
+    if n is None:
+        _keep_drawings(folder, models, data, recipe)
+    for name, model in models.items():
         metrics, trained, joint = {}, model.trained, get_descriptor(name).any_part
-        for asked in (*DESCRIPTORS, *PHYSICAL) if joint else (name,):
+        for asked in dict.fromkeys((*DESCRIPTORS, *PARTS)) if joint else (name,):
             for purpose, one in {"faithful": model, **model.others}.items():
                 drawn = run_held_out(one, data, recipe.seed, asked, n=n)
                 table = scores(drawn, asked, data, seed=recipe.seed)
@@ -160,11 +169,33 @@ def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None =
         sampling=_in_words(recipe.sampling),
         others="; ".join(f"*{purpose}*: {_in_words(changes)}" for purpose, changes in recipe.samplers.items())
         or "none",
+        tuned=_TUNED if recipe.tuning else "",
         calibration=how if recipe.n_calibration else "the model was told the target itself",
     )
     with hand_out(card, _is_card) as place:
         place.write_text(text, encoding="utf-8")
     return card
+
+
+def _keep_drawings(folder, models, data, recipe):
+    """Store what the models of one descriptor draw for all held-out targets, so that chapters need not draw it again.
+
+    :func:`.run.run_experiment` takes it where it would draw the same, as it takes what was drawn on a GPU.
+    """
+    tensors, record = {}, {}
+    for name, model in models.items():
+        if get_descriptor(name).any_part:
+            continue
+        drawn = run_held_out(model, data, recipe.seed)
+        images = np.round(255 * drawn["image"].values).astype(np.uint8)
+        told = model.told(name, drawn["target"].values)
+        tensors |= {f"{name}.images": torch.from_numpy(images), f"{name}.told": torch.from_numpy(told)}
+        seed = seed_for(held_out_seed(recipe.seed), name)
+        record[name] = {"weights": model.trained.fingerprint, "seed": seed, "sampling": dict(model.sampling)}
+    if tensors:
+        file = folder / "drawings" / "held_out.safetensors"
+        storage.check_files([file], "drawing")
+        storage.write(file, "drawing", tensors, record)
 
 
 def _is_card(file):

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inflate_lib.alternatives.surrogate import centred
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
+from inflate_lib.models.surrogate import centred
 from inflate_lib.structures.labels import FRAME, OUTSIDE, VOID, WALL
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from joblib import Parallel, delayed
 
 from inflate_lib import paths
 from inflate_lib._checks import choice, positive_number, whole_number, workers
-from inflate_lib.alternatives.surrogate import centred
 from inflate_lib.datasets.simulate import simulated_before, simulated_sevens
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import Descriptors, describe, get_descriptor
@@ -34,6 +33,7 @@ from inflate_lib.inverse.targets import Targets, as_targets, deviations
 from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.models.reach import check_reach
 from inflate_lib.models.recipe import load_recipe
+from inflate_lib.models.surrogate import centred
 from inflate_lib.models.weights import Model, load_model, trained_models
 
 if TYPE_CHECKING:
@@ -182,7 +182,7 @@ def design(
     Parameters
     ----------
     targets : Targets or Mapping
-        Any of height, width, area, axis, stress, stretch; or an outline. See
+        Any of height, width, area, axis, outline, stress, stretch. See
         :func:`inflate_lib.inverse.targets.as_targets`.
     n : int
         Number of designs.
@@ -325,17 +325,16 @@ class Search:
 def _find_model(targets, profile=None):
     """The model to design with.
 
-    That is the model of a single descriptor, or of the box, that takes most of what is asked: the rest hangs together
-    with it, and choice and refinement see to what does not. The joint model is for what no other takes, a stress or a
-    stretch (``benchmarks/joint.py`` measures both on the same targets). Committed weights come first, the best ones of
-    ``data/pretrained`` or those of `profile`; else the model of the profile (``ci`` by default) is found in the cache
-    or trained.
+    That is the joint model, which takes all that is asked for; where its weights are not there, the model of a single
+    descriptor, or of the box, that takes most of it: the rest hangs together with it, and choice and refinement see to
+    what does not (``benchmarks/joint.py`` measures both on the same targets). Committed weights come first, the best
+    ones of ``data/pretrained`` or those of `profile`; else the model of the profile (``ci`` by default) is found in the
+    cache or trained.
     """
     asked = set(targets.asked)
-    singles = [one.name for one in models_in_order() if set(one.parts) <= asked]
-    fitting = singles if not asked & set(PHYSICAL) else []
     joint = [one.name for one in registered() if one.any_part and asked & set(one.parts)]
-    fitting += joint
+    singles = [one.name for one in models_in_order() if set(one.parts) <= asked]
+    fitting = joint + (singles if not asked & set(PHYSICAL) else [])
     for folder in (profile,) if profile else _WEIGHTS:
         for name in fitting:
             if (paths.PRETRAINED / folder / f"{name}.safetensors").is_file():

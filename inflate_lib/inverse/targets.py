@@ -26,8 +26,8 @@ class Targets:
 
     Parameters
     ----------
-    outline : (k, 2) float, optional
-        The drawing that the others were measured on, to be shown; its lowest point is at y = 0.
+    drawing : (k, 2) float, optional
+        The drawn outline that the others were measured on, to be shown; its lowest point is at y = 0.
     **wanted
         Name of a descriptor that is measured (:mod:`inflate_lib.descriptors`) → its value, in lengths and areas of the
         unit square; None where any will do. An axis is 30 points, or a line from the bottom of the shape to its top; a
@@ -46,14 +46,14 @@ class Targets:
         For an unknown name, a value that is no target, or where nothing is asked for.
     """
 
-    def __init__(self, outline: np.ndarray | None = None, **wanted: Any) -> None:
+    def __init__(self, drawing: np.ndarray | None = None, **wanted: Any) -> None:
         known = {one.name: one for one in basic()}
         if unknown := [name for name in wanted if name not in known]:
-            raise ValueError(f"unknown target {unknown[0]!r}; choose among {', '.join(sorted([*known, 'outline']))}")
-        self.outline, self.measured = outline, ""
+            raise ValueError(f"unknown target {unknown[0]!r}; choose among {', '.join(sorted(known))}")
+        self.drawing, self.measured = drawing, ""
         self.vectors = {n: one.target(wanted[n]) for n, one in known.items() if wanted.get(n) is not None}
         if not self.vectors:
-            raise ValueError(f"nothing is asked for: give {', '.join(known)} or an outline, one at least")
+            raise ValueError(f"nothing is asked for: give {', '.join(known)}, one at least")
 
     def __getattr__(self, name: str) -> Any:
         """The value of a descriptor that is asked for."""
@@ -85,7 +85,7 @@ def as_targets(targets):
     ----------
     targets : Targets or Mapping
         Names of descriptors that are measured, such as "height" or "axis" (30 points, or a polyline from the bottom to
-        the top of the shape), and "outline" (corners of a polygon, which gives the paper's descriptors).
+        the top of the shape), and "outline" (corners of a polygon, which gives the paper's descriptors as well).
 
     Raises
     ------
@@ -102,11 +102,11 @@ def as_targets(targets):
     drawn = _outline_targets(outline)
     if set(given) & set(drawn.asked):
         raise ValueError(f"an outline gives {', '.join(drawn.asked)}: leave the others out")
-    return Targets(drawn.outline, **drawn.as_dict(), **given)
+    return Targets(drawn.drawing, **drawn.as_dict(), **given)
 
 
 def _outline_targets(points):
-    """Targets that a closed outline (k, 2) stands for: its height, width, hull area and medial axis.
+    """Targets that a closed outline (k, 2) stands for: itself, its height, width, hull area and medial axis.
 
     All descriptors look at the convex hull only, so that a dent in the outline is not asked for.
     """
@@ -124,7 +124,7 @@ def _outline_targets(points):
         shape = describe(points)
     except ValueError:
         raise ValueError("outline: it is empty; its points lie on one line") from None
-    drawn = {name: value for name, value in shape.as_dict().items() if name in DESCRIPTORS}
+    drawn = {name: value for name, value in shape.as_dict().items() if name in (*DESCRIPTORS, "outline")}
     return Targets(points - [0, points[:, 1].min()], **drawn)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from inflate_lib._files import check_outputs, draft, read_by
-from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.descriptors import POINT_DISTANCE, descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import OWN, basic, implied, registered
 
 FILE = "reach.npz"  # beside the weights
@@ -103,7 +103,8 @@ def check_reach(wanted: Mapping[str, np.ndarray], data) -> None:
         ((label, value),) = asked.items()
         reach[label] = reach[label][0], np.clip(value, reach[label][0].min(), reach[label][0].max())
     there = [f"{label} {value:.3f}" for label, (_, value) in reach.items()]
-    there += [f"{name} ({np.abs(values[name][nearest, ::2]).max():.3f} sideways)" for name in lines]
+    points = [name for name in lines if get_descriptor(name).error is POINT_DISTANCE]
+    there += [f"{name} ({np.abs(values[name][nearest, ::2]).max():.3f} sideways)" for name in points]
     ranges = [f"{label} {reached.min():.3f} to {reached.max():.3f}" for label, (reached, _) in reach.items()]
     raise ValueError(
         f"{problem}. The {len(miss)} inflated structures of the data set reach {', '.join(ranges) or 'others'}; the "

@@ -11,6 +11,7 @@ It is the section ``recipe`` of ``notebooks/profiles/<name>.yml``::
       sampling: {…}            # options of inflate_lib.diffusion.generate
       samplers: {quick: {…}}   # what differs for other purposes, by name; may be left out
       student: {strongest: 10} # guidance is distilled so, into a student for the purpose "quick"; may be left out
+      tuning: {steps: 1000}    # the student is tuned so, by a surrogate of the simulation; may be left out
       n_calibration: 200       # structures drawn to calibrate a model; 0: none
 
 Whoever needs to know how models are made, a notebook, a command or a test, asks for the recipe by the profile's name.
@@ -36,6 +37,7 @@ _INTERACTIVE = "interactive"  # the profile of such a notebook
 #: What structures are drawn for: ``sampling`` says how for the first, ``samplers`` may for the others.
 PURPOSES = ("faithful", "varied", "quick")
 _STUDENT = ("strongest", "distillation_steps")
+_TUNING = {"steps": 1000, "weight": 0.05, "blends": 30_000, "surrogate_steps": 6000}  # and their defaults
 #: What is checked of each option of sampling; `generate` itself checks the rest.
 _SAMPLING = {
     "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
@@ -75,6 +77,9 @@ class Recipe:
     student : Mapping
         Options of :class:`inflate_lib.diffusion.TrainingConfig` for a student: ``strongest``, ``distillation_steps``.
         Empty: there is none.
+    tuning : Mapping
+        How the student is tuned (:func:`inflate_lib.diffusion.distillation.tune`): ``steps`` and ``weight`` there;
+        ``blends`` and ``surrogate_steps``, with which the surrogate is trained that judges it. Empty: it is not.
     """
 
     source: str
@@ -86,18 +91,22 @@ class Recipe:
     n_calibration: int
     samplers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     student: Mapping[str, Any] = field(default_factory=dict)
+    tuning: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
         choice("source", self.source, ("auto", "mnist", "digits"))
         for name, least in {"seed": 0, "n_structures": 1, "n_augmented": 1, "n_calibration": 0}.items():
             if name != "n_structures" or self.n_structures is not None:
                 whole_number(name, getattr(self, name), least)
-        for name in ("training", "sampling", "samplers", "student"):
+        for name in ("training", "sampling", "samplers", "student", "tuning"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} must be a mapping of options, not {getattr(self, name)!r}")
         if own := [name for name in ("seed", "parts") if name in self.training]:
             raise ValueError(f"training: {own[0]} follows from the recipe's seed and the descriptor; leave it out")
         _check_names("student", self.student, _STUDENT)
+        _check_names("tuning", self.tuning, _TUNING)
+        for name, value in self.tuning.items():
+            positive_number(name, value) if name == "weight" else whole_number(f"tuning.{name}", value, 1)
         _check_names("samplers", self.samplers, PURPOSES[1:])
         for where, options in {"sampling": self.sampling, **self.samplers}.items():
             if not isinstance(options, Mapping):
@@ -141,6 +150,10 @@ class Recipe:
     def ways(self) -> dict[str, dict[str, Any]]:
         """Options of sampling for each purpose but the first, by its name."""
         return {name: {**self.sampling, **changes} for name, changes in self.samplers.items()}
+
+    def tuned(self) -> dict[str, Any]:
+        """The options of ``tuning``, all of them; empty where students are not tuned."""
+        return {**_TUNING, **self.tuning} if self.tuning else {}
 
     def config(self, descriptor: str) -> "TrainingConfig":
         """The training configuration of one descriptor's model."""

@@ -12,8 +12,8 @@ import numpy as np
 from inflate_lib import paths
 from inflate_lib._checks import choice, numbers, whole_number
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.descriptors import get_descriptor
-from inflate_lib.descriptors.registry import columns, name_of
+from inflate_lib.descriptors import POINT_DISTANCE, get_descriptor
+from inflate_lib.descriptors.registry import JOINT, columns, name_of
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.models import RETRAIN, reach
@@ -117,8 +117,8 @@ class Model:
         ----------
         purpose : {"faithful", "varied", "quick"}
             As the experiments of the paper are made, which is how every model comes; with more steps, which draw more
-            various structures; or for designs, which inflate and refine whatever is drawn: with few steps and, where
-            guidance was distilled (:mod:`inflate_lib.diffusion.distillation`), by the student.
+            various structures; or for designs, which inflate and refine whatever is drawn, with few. Where there is a
+            student (:mod:`inflate_lib.diffusion.distillation`), it answers for the last two.
 
         Raises
         ------
@@ -178,17 +178,18 @@ def _as_vectors(name, value):
     if not np.isfinite(values).all():
         raise ValueError(f"{name} must be finite, not {values[~np.isfinite(values)][0]}")
     values = values.reshape(-1, n)
-    if descriptor.is_line and (values[:, :2].any() or not np.all(np.diff(values[:, 1::2]) > 0)):
+    if descriptor.error is POINT_DISTANCE and (values[:, :2].any() or not np.all(np.diff(values[:, 1::2]) > 0)):
         raise ValueError(f"{name} must begin at the origin, and its points must rise")
     return values
 
 
-def load_model(name: str, profile: str = "laptop") -> Model:
+def load_model(name: str = JOINT, profile: str = "laptop") -> Model:
     """The committed weights of a model, with the sampler, the calibrations and the reach that belong to them.
 
     Parameters
     ----------
     name : {"height", "width", "box", "area", "axis", "joint"}
+        The joint model takes any combination of targets; the others are those of the paper's experiments.
     profile : str
         A folder of ``data/pretrained``.
 
@@ -214,7 +215,8 @@ def load_model(name: str, profile: str = "laptop") -> Model:
     model = _model(name, trained, trained.metadata, table)
     others = {purpose: _model(name, trained, about, table) for purpose, about in _samplers(trained).items()}
     if (student := _student(there[name], trained)) is not None:
-        others["quick"] = _model(name, student, student.metadata, table)
+        asked = {"quick": student.metadata, **_samplers(student)}
+        others |= {purpose: _model(name, student, about, table) for purpose, about in asked.items()}
     return replace(model, others=others)
 
 
@@ -279,7 +281,8 @@ def trained_models(names: Sequence[str], recipe: Recipe, data: "xr.Dataset") -> 
         asked = {purpose: (trained, _samplers(trained).get(purpose, {})) for purpose in ways}
         asked["faithful"] = trained, trained.metadata
         if "quick" in ways and (student := _student(found[name], trained)) is not None:
-            asked["quick"] = student, student.metadata
+            known = {"quick": student.metadata, **_samplers(student)}
+            asked |= {purpose: (student, known.get(purpose, {})) for purpose in ways if purpose != "faithful"}
         made = {
             purpose: _model(name, one, {"sampling": way, "calibration": _stored(about, way, recipe)}, table)
             for (purpose, (one, about)), way in zip(asked.items(), ways.values(), strict=True)

@@ -71,11 +71,11 @@ def _draw_targets(ax, targets, nodes):
     middle = (left + right) / 2
     style = {"color": COLOURS.target, "linewidth": 1.2, "zorder": 4}
     names = list(targets.asked)
-    if targets.outline is not None:
-        closed = np.vstack([targets.outline, targets.outline[:1]])
+    if targets.drawing is not None:
+        closed = np.vstack([targets.drawing, targets.drawing[:1]])
         shift = [middle - (closed[:, 0].min() + closed[:, 0].max()) / 2, bottom]
         ax.plot(*(closed + shift).T, **style)
-        names = [name for name in names if get_descriptor(name).is_line or name not in DESCRIPTORS]
+        names = [name for name in names if name not in DESCRIPTORS[:-1] and name != "outline"]
     for one in registered():  # what is put together takes the place of its parts
         if not one.is_basic and set(one.parts) <= set(names):
             names = [one.name, *(name for name in names if name not in one.parts)]

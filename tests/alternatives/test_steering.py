@@ -10,9 +10,9 @@ import torch
 from torch import nn
 
 from inflate_lib import paths
-from inflate_lib.alternatives.steering import _correction, _soft_label, steer
-from inflate_lib.alternatives.surrogate import Surrogate, centred
+from inflate_lib.alternatives.steering import _correction, steer
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
+from inflate_lib.models.surrogate import Surrogate, centred, soft_label
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.evaluation import plot_controls
 from inflate_lib.structures.labels import FRAME, label_image
@@ -50,7 +50,7 @@ def test_soft_labels_of_sharp_drawings_are_their_label_images():
         sharp = label_image(image) == 1  # whole and without holes
         for moved in (sharp, np.roll(sharp, -2, axis=0)):
             hard = centred(label_image(moved)[None])
-            soft = _soft_label(torch.from_numpy(moved[None]).float()).numpy()
+            soft = soft_label(torch.from_numpy(moved[None]).float()).numpy()
             assert np.abs(soft - hard).max() < 0.01
             compared += 1
     assert compared >= 20
@@ -59,17 +59,17 @@ def test_soft_labels_of_sharp_drawings_are_their_label_images():
 def test_soft_labels_can_be_differentiated():
     """Where no two pixels are equally bright: of equals, a maximum takes any."""
     images = torch.rand(2, FRAME, FRAME, dtype=torch.float64, generator=torch.manual_seed(0)).requires_grad_()
-    assert torch.autograd.gradcheck(lambda x: _soft_label(x).square().sum(dim=(1, 2)), images, fast_mode=True)
+    assert torch.autograd.gradcheck(lambda x: soft_label(x).square().sum(dim=(1, 2)), images, fast_mode=True)
 
 
 def test_a_correction_removes_most_of_a_small_error(trained):
     """Less where it would take pixels brighter than white or darker than black, but then it does no harm."""
     x0 = 2 * torch.from_numpy(DIGITS[:6] / 255).float()[:, None] - 1
-    now = trained.net(_soft_label((x0[:, 0] + 1) / 2))[:, HEIGHT]
+    now = trained.net(soft_label((x0[:, 0] + 1) / 2))[:, HEIGHT]
     for sign in (-1, 1):
         wanted = now + sign * 0.02
         after = (x0 + _correction(x0, wanted, trained, HEIGHT)).clamp(-1, 1)
-        missed = (trained.net(_soft_label((after[:, 0] + 1) / 2))[:, HEIGHT] - wanted).abs()
+        missed = (trained.net(soft_label((after[:, 0] + 1) / 2))[:, HEIGHT] - wanted).abs()
         assert missed.median() < 0.002 and missed.max() <= 0.02
 
 
@@ -84,7 +84,7 @@ def test_steered_structures_come_nearer_to_what_the_surrogate_is_asked_for(model
     told, model = np.full((6, 1), 1.2), model.sampled(steps=6)
 
     def brightness(images):
-        return trained.net(_soft_label(torch.from_numpy(images)))[:, 0].numpy()
+        return trained.net(soft_label(torch.from_numpy(images)))[:, 0].numpy()
 
     plain = brightness(steer(model, told, told, trained, 0.0, 1))
     wanted = (plain + 0.05)[:, None]

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from inflate_lib import describe, inflate
 from inflate_lib.descriptors import DESCRIPTORS, Descriptors, descriptor_matrix, get_descriptor
-from inflate_lib.descriptors.shape import AXIS_POINTS, _hull_sides
+from inflate_lib.descriptors.shape import AXIS_POINTS, _hull_sides, outline_corners, support_function
 
 numbers = st.floats(-5, 5).map(lambda x: round(x, 6))
 clouds = st.lists(st.tuples(numbers, numbers), min_size=3, max_size=40).map(np.array)
@@ -175,7 +175,7 @@ def test_matrix_takes_rows_and_columns_in_order():
     import xarray as xr
 
     rng = np.random.default_rng(0)
-    rows = [Descriptors(*rng.random(3), rng.random((AXIS_POINTS, 2))) for _ in range(3)]
+    rows = [Descriptors(*rng.random(3), rng.random((AXIS_POINTS, 2)), rng.random(32)) for _ in range(3)]
     data = xr.Dataset(
         {name: ("structure", [getattr(row, name) for row in rows]) for name in ("height", "width", "hull_area")}
         | {"medial_axis": (("structure", "point", "axis"), [row.medial_axis for row in rows])}
@@ -186,3 +186,29 @@ def test_matrix_takes_rows_and_columns_in_order():
         assert np.array_equal(matrix, [row.vector(name) for row in rows])
     with pytest.raises(ValueError, match="unknown descriptor"):
         descriptor_matrix(data, "volume")
+
+
+def test_support_functions_of_a_rectangle_and_of_a_disc():
+    angle = 2 * np.pi * np.arange(32) / 32
+    rectangle = np.array([[3.0, 1.0], [5.0, 1.0], [5.0, 1.5], [3.0, 1.5]])  # 2 wide, 0.5 high
+    expected = np.abs(np.cos(angle)) + 0.5 * np.maximum(np.sin(angle), 0)
+    assert np.allclose(support_function(rectangle), expected, atol=1e-14)
+    circle = np.arange(3200) * 2 * np.pi / 3200
+    disc = np.column_stack([7 + 0.4 * np.cos(circle), 0.4 + 0.4 * np.sin(circle)])
+    assert np.allclose(support_function(disc), 0.4 + 0.4 * np.sin(angle), atol=1e-14)
+
+
+@given(points)
+@settings(max_examples=60, deadline=None)
+def test_an_outline_tells_height_and_width_and_encloses_the_hull(nodes):
+    shape, outline = describe(solid(nodes)), get_descriptor("outline")
+    (height, same_height), (width, same_width) = (bound(shape.outline) for bound in outline.bounds.values())
+    assert height == same_height == pytest.approx(shape.height)
+    assert width == same_width == pytest.approx(shape.width)
+    corners = outline_corners(shape.outline)
+    assert ConvexHull(corners).volume >= shape.hull_area * (1 - 1e-9)
+    mirrored = describe(np.asarray(nodes) * [-1, 1])
+    assert np.allclose(outline.mirrored(shape.outline[None])[0], mirrored.outline, atol=1e-9)
+    # A target may be the corners of the outline, or its support function.
+    for value in (corners, shape.outline):
+        assert np.allclose(outline.target(value), shape.outline, atol=1e-9 + 1e-6 * shape.height)

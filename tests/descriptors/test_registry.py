@@ -6,11 +6,10 @@ import pandas as pd
 import pytest
 
 from inflate_lib import describe, design, inflate, label_image, load_sevens, paths, simulate_dataset
-from inflate_lib.alternatives.surrogate import train_surrogate
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.pairs import TrainingSet
-from inflate_lib.descriptors import DESCRIPTORS, Descriptor, descriptor_matrix, get_descriptor, register, registry
-from inflate_lib.descriptors.registry import PHYSICAL, added_version, columns, name_of
+from inflate_lib.descriptors import Descriptor, descriptor_matrix, get_descriptor, register, registry
+from inflate_lib.descriptors.registry import PARTS, added_version, columns, name_of
 from inflate_lib.diffusion import TrainingConfig, train
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.experiments.run import judge, run_experiment
@@ -19,6 +18,7 @@ from inflate_lib.inverse import candidates
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.mechanics.adjoint import sensitivities
 from inflate_lib.models.reach import check_reach, load_reach, save_reach
+from inflate_lib.models.surrogate import train_surrogate
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.designs import plot_designs
 from inflate_lib.plotting.evaluation import plot_held_out, plot_selection
@@ -164,7 +164,7 @@ def test_what_it_says_about_others_is_held_against_them(data, tmp_path):
 def test_a_surrogate_answers_with_it_and_figures_tell_it_apart(data, tmp_path, monkeypatch):
     monkeypatch.setattr(paths, "CACHE", tmp_path)
     trained = train_surrogate(data, steps=2)
-    assert trained.answers == "height+width+area+axis+slenderness+lean"
+    assert trained.answers == "height+width+area+axis+outline+slenderness+lean"
     assert trained.predict(DIGITS[:3], "lean").shape == (3, 2)
     with pytest.raises(ValueError, match=r"answers with height, .* not air"):
         trained.predict(DIGITS[:3], "air")
@@ -211,6 +211,6 @@ def test_descriptors_together_have_a_name_and_their_columns():
     assert name_of(["area", "height"]) == "height+area"
     assert get_descriptor("height+area").components == ("h", "A")
     assert columns("box", ("width", "area", "height")).tolist() == [0, 2]
-    assert get_descriptor("joint").length == sum(get_descriptor(name).length for name in (*DESCRIPTORS, *PHYSICAL)) - 2
+    assert get_descriptor("joint").length == sum(get_descriptor(name).length for name in PARTS)
     with pytest.raises(ValueError, match=r"the joint model takes height, width, .*, not air"):
         get_descriptor("joint").conditions("air", [[0.3]])

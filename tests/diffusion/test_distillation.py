@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, cosine_schedule, generate, process, train
-from inflate_lib.diffusion.distillation import distil
+from inflate_lib.diffusion.distillation import distil, tune
 from inflate_lib.diffusion.loop import Loop
 from inflate_lib.diffusion.sampling import guided
 
@@ -107,3 +107,45 @@ def test_what_cannot_be_distilled_or_asked_is_refused(teacher, student):
         distil(student, *bars(), TOLD, progress=False)
     with pytest.raises(ValueError, match="strongest > 1"):
         distil(teacher, *bars(), replace(TOLD, strongest=1.0), progress=False)
+
+
+def height_of(images):
+    """How high the bars of images (n, 8, 8) in [0, 1] are, in pixels."""
+    return 8 * images.mean(axis=(1, 2))
+
+
+def miss(x, y):
+    """The same for drawings on the network's scale, against scaled conditions; a critic that sees everything."""
+    return (8 * (x[:, 0] + 1).mean(dim=(1, 2)) / 2 - (1 + 6 * y[:, 0])).square()
+
+
+def mean_miss(model, steps=5):
+    targets = np.tile([2.0, 3.0, 4.0, 5.0, 6.0], 20)
+    images = generate(model, targets, sampler="dpm-solver++", steps=steps, guidance=2.0, device="cpu")
+    return np.abs(height_of(images) - targets).mean()
+
+
+def test_a_tuned_student_comes_nearer_to_its_targets(teacher, student):
+    """Also with a number of steps that it was not tuned for."""
+    before = student.fingerprint
+    tuned = tune(student, teacher, miss, *bars(), steps=200, weight=0.1, progress=False)
+    for steps in (5, 6):
+        assert mean_miss(tuned, steps) < 0.7 * mean_miss(student, steps)
+    assert student.fingerprint == before and tuned.config == student.config
+    assert tuned.metadata["teacher"] == teacher.fingerprint and tuned.metadata["tuning"]["steps"] == 200
+
+
+def test_an_interrupted_tuning_goes_on_where_it_was(teacher, student, tmp_path, monkeypatch):
+    advance = Loop.advance
+
+    def interrupted(run):
+        if run.step == 9:
+            raise KeyboardInterrupt
+        advance(run)
+
+    given = student, teacher, miss, *bars(), 14, 0.1
+    with monkeypatch.context() as patch:
+        patch.setattr(Loop, "advance", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            tune(*given, tmp_path, progress=False)
+    assert same(tune(*given, tmp_path, progress=False), tune(*given, None, progress=False))

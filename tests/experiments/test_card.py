@@ -148,10 +148,29 @@ def test_a_joint_model_is_measured_on_each_descriptor(data, tmp_path):
     model.save(tmp_path / "joint.safetensors", half=True)
     text = write_card(tmp_path, data, RECIPE, n=4).read_text(encoding="utf-8")
     asked = [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("| joint: ")]
-    assert asked == [f"joint: {name}" for name in ("height", "width", "box", "area", "axis", "stress", "stretch")]
+    measured = ("height", "width", "box", "area", "axis", "stress", "stretch", "outline")
+    assert asked == [f"joint: {name}" for name in measured]
     metrics = TrainedModel.load(tmp_path / "joint.safetensors").metadata["metrics"]
     assert set(metrics) == {name.removeprefix("joint: ") for name in asked}
     assert "median point distance" in metrics["axis"] and "R²" in metrics["stress"]
+
+
+def test_what_was_drawn_for_the_card_is_not_drawn_again(folder, data, monkeypatch, capsys):
+    """The stored drawings are those of these weights, targets and noise, and of no others."""
+    monkeypatch.setattr(paths, "PRETRAINED", folder.parent)
+    write_card(folder, data, RECIPE)
+    assert sorted(path.name for path in (folder / "drawings").iterdir()) == ["held_out.safetensors"]
+    capsys.readouterr()
+    model = Model("height", TrainedModel.load(folder / "height.safetensors"), SAMPLING)
+    with monkeypatch.context() as patch:
+        patch.setattr("inflate_lib.experiments.run.generate", None)  # nothing is drawn
+        stored = run_held_out(model, data)
+    assert "structures from held_out.safetensors: height" in capsys.readouterr().out
+    drawn = run_held_out(model.sampled(steps=2, eta=1.0), data, seed=1)
+    assert stored["image"].shape == drawn["image"].shape and not np.array_equal(stored["image"], drawn["image"])
+    assert "held_out" not in capsys.readouterr().out
+    again = write_card(folder, data, RECIPE)
+    assert again.is_file()  # it replaces what it wrote
 
 
 def test_weights_that_are_missing_or_of_other_data_are_refused(folder, data, tmp_path):

@@ -12,8 +12,9 @@ from sklearn.metrics import r2_score
 from inflate_lib import paths
 from inflate_lib.alternatives.best_of import _weighted_quantile, best_of, chances, selection
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.descriptors.distances import _hausdorff, _point_distances
-from inflate_lib.descriptors.shape import mirror_axis
+from inflate_lib.descriptors import OUTLINE_DISTANCE, POINT_DISTANCE
+from inflate_lib.descriptors.distances import _hausdorff
+from inflate_lib.descriptors.shape import mirror_axis, support_function
 from inflate_lib.experiments.metrics import bootstrap, errors, misses, r_squared, scatter_between_samples
 from inflate_lib.experiments.run import judge
 from inflate_lib.experiments.tables import (
@@ -89,7 +90,8 @@ def test_hausdorff_distance_is_that_of_scipy():
 
 def test_hausdorff_distance_is_at_most_the_largest_distance_of_points():
     axes, others = RNG.random((20, 60)), RNG.random((20, 60))
-    assert (_hausdorff(axes, others) <= _point_distances(axes, others).max(axis=1) + 1e-9).all()
+    largest = 28 * POINT_DISTANCE.apart(axes, others).max(axis=1)
+    assert (_hausdorff(axes, others) <= largest + 1e-9).all()
     np.testing.assert_allclose(_hausdorff(mirror_axis(axes), mirror_axis(others)), _hausdorff(axes, others))
 
 
@@ -375,3 +377,16 @@ def test_scatter_between_samples_is_that_of_the_normal_law():
     assert abs(np.mean(found) - exact) < 4 * error < 0.1 * exact  # halves divided by 2 would be 29 % too small
     two = np.abs(np.diff(rng.normal(1.0, deviation, (2, 4000, n)).mean(axis=2), axis=0))  # and so do two samples
     assert abs(two.mean() - exact) < 4 * two.std() / np.sqrt(4000)
+
+
+def test_distances_of_outlines_are_those_of_their_supporting_lines():
+    """Of two upright rectangles on the ground, all lines but the lowest move by what the corner moves along them."""
+    narrow, wide = (
+        support_function(np.array([[-w, 0], [w, 0], [w, h], [-w, h]])) for w, h in ((0.25, 1.0), (0.5, 1.0))
+    )
+    angle = 2 * np.pi * np.arange(32) / 32
+    assert np.allclose(OUTLINE_DISTANCE.apart(narrow, wide), 0.25 * np.abs(np.cos(angle)))
+    assert OUTLINE_DISTANCE.of(narrow, wide) == pytest.approx(28 * 0.25 * np.abs(np.cos(angle)).mean())
+    assert OUTLINE_DISTANCE.share(narrow, wide) == pytest.approx(0.25 * np.abs(np.cos(angle)).mean())
+    units = OUTLINE_DISTANCE.in_units(narrow[None], wide[None], np.array([narrow, wide]), "side")
+    assert units["Hausdorff distance"][1] == pytest.approx(7) and "outline distance / height" in units

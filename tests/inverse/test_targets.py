@@ -38,7 +38,7 @@ def test_a_circle_has_the_descriptors_of_a_circle(tmp_path):
     assert (targets.height, targets.width) == pytest.approx((0.8, 0.8), abs=1e-12)
     assert targets.area == pytest.approx(np.pi * 0.16, rel=1e-3)  # a polygon with 128 corners
     assert np.allclose(targets.axis, np.column_stack([np.zeros(30), 0.8 * np.arange(30) / 30]), atol=1e-12)
-    assert targets.outline[:, 1].min() == 0 and targets.asked == ("height", "width", "area", "axis")
+    assert targets.drawing[:, 1].min() == 0 and targets.asked == ("height", "width", "area", "axis", "outline")
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_few_points_are_a_line_from_bottom_to_top():
 def test_what_is_not_asked_is_nan():
     targets = Targets(height=1.1, area=0.8)
     assert targets.asked == ("height", "area")
-    assert np.array_equal(targets.vector("joint"), [1.1, np.nan, 0.8, *[np.nan] * 62], equal_nan=True)
+    assert np.array_equal(targets.vector("joint"), [1.1, np.nan, 0.8, *[np.nan] * 94], equal_nan=True)
     assert np.array_equal(targets.vector("box"), [1.1, np.nan], equal_nan=True)
     for name, value in (("height", 1.1), ("area", 0.8), ("stress", 0.2), ("stretch", 1.4)):
         alone = Targets(**{name: value}).vector("joint")
@@ -191,7 +191,7 @@ def test_the_stress_follows_from_the_stretch(data):
 def test_stress_goes_with_an_outline():
     box = [(0, 0), (0.8, 0), (0.8, 1), (0, 1)]
     targets = as_targets({"outline": box, "stress": 0.2})
-    assert targets.asked == ("height", "width", "area", "stress", "axis") and targets.outline is not None
+    assert targets.asked == ("height", "width", "area", "stress", "axis", "outline") and targets.drawing is not None
     assert targets.vector("joint")[:5] == pytest.approx([1, 0.8, 0.8, 0.2, np.nan], nan_ok=True)
     assert targets.as_dict()["stress"] == 0.2
 

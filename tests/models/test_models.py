@@ -19,7 +19,7 @@ from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import held_out
 from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
-from inflate_lib.descriptors.registry import PHYSICAL
+from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.diffusion import TrainedModel, storage
 from inflate_lib.diffusion.training import simple_loss
 from inflate_lib.experiments.run import held_out_seed, run_experiment
@@ -49,6 +49,7 @@ def data():
             "width": ("structure", number / 2),
             "hull_area": ("structure", number / 3),
             "medial_axis": (("structure", "point", "axis"), axes),
+            "outline": (("structure", "direction"), axes.reshape(40, 60)[:, :32] + np.arange(32)),
             "peak_stress": ("structure", 0.1 + number / 40),
             "peak_stretch": ("structure", 1.1 + number / 40),
         },
@@ -74,8 +75,8 @@ def test_no_variant_of_a_held_out_structure_is_trained_on(data, n_augmented):
 
 def test_the_joint_descriptor_holds_the_others_side_by_side(data):
     joint = descriptor_matrix(data, "joint")
-    assert joint.shape == (40, 65)
-    lengths = {name: get_descriptor(name).length for name in (*DESCRIPTORS, *PHYSICAL)}
+    assert joint.shape == (40, 97)
+    lengths = {name: get_descriptor(name).length for name in (*DESCRIPTORS, *PARTS)}
     for name in lengths:
         told = get_descriptor("joint").conditions(name, descriptor_matrix(data, name))
         asked = ~np.isnan(told)
@@ -85,7 +86,7 @@ def test_the_joint_descriptor_holds_the_others_side_by_side(data):
     conditions = TrainingSet(data, "joint", 100).pairs[1]
     heights, axes = TrainingSet(data, "height", 100).pairs[1], TrainingSet(data, "axis", 100).pairs[1]
     np.testing.assert_array_equal(conditions[:, [0]], heights)
-    np.testing.assert_array_equal(conditions[:, 5:], axes)  # mirrored where the image is
+    np.testing.assert_array_equal(conditions[:, 5:65], axes)  # mirrored where the image is
     np.testing.assert_array_equal(conditions[:, 3:5], [0.1, 1.1] + heights / 40)  # peaks are not
 
 

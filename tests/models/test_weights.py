@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from inflate_lib import load_model, paths, simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
-from inflate_lib.descriptors.registry import JOINT, PARTS, PHYSICAL
+from inflate_lib.descriptors.registry import JOINT, PARTS
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
 from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.models.calibration import Calibration
@@ -111,7 +111,7 @@ def test_a_calibrated_model_is_told_something_else(ask, reach):
         ("height", {"height": [0.9, 3.0]}, "target 1: height 3 is out of reach"),
         (JOINT, {"height": 0.9, "width": 0.9, "area": 1.0}, "area 1 contradicts height 0.9 and width 0.9"),
         ("height", {"width": 1.0}, "the height model takes height, not 'width'"),
-        (JOINT, {"hight": 1.0}, "takes height, width, area, stress, stretch, axis, any of them, not 'hight'"),
+        (JOINT, {"hight": 1.0}, "takes height, width, area, stress, stretch, axis, outline, any of them, not 'hight'"),
         ("box", {"height": 0.9}, "width is not given"),
         ("box", {"box": (0.9, 0.9), "height": 0.9}, "height is asked for twice"),
         ("height", {"height": np.nan}, "height must be finite, not nan"),
@@ -158,7 +158,7 @@ def test_committed_weights_are_loaded_with_what_belongs_to_them(name):
     model = load_model(name)
     assert model.name == name and model.sampling["sampler"] == "ddim"
     combinations = {"height+area", "width+area", "height+width+area"}
-    assert set(model.calibrations) == ({*DESCRIPTORS, *PHYSICAL, *combinations} if name == JOINT else {name})
+    assert set(model.calibrations) == ({*DESCRIPTORS, *PARTS, *combinations} if name == JOINT else {name})
     assert model.reach.sizes["structure"] == 6265
 
 
