@@ -147,9 +147,9 @@ def tuned_file(path: Path, teacher: TrainedModel, recipe: Recipe, data) -> Path:
 def judge_of(data, recipe: Recipe) -> Surrogate:
     """The surrogate that tunes the students of a recipe: it knows all parts of the joint descriptor, and blends."""
     options = recipe.tuned()
-    further = blends_of(data, options["blends"], recipe.seed)
-    how = {"further": further, "channels": (12, 24, 48), "batch_size": 128}
-    return train_surrogate(data, options["surrogate_steps"], recipe.seed, answers=JOINT, **how)
+    steps, further = options["surrogate_steps"], blends_of(data, options["blends"], recipe.seed)
+    widths = 12, 24, 48
+    return train_surrogate(data, steps, recipe.seed, answers=JOINT, further=further, channels=widths, batch_size=128)
 
 
 def train_models(
