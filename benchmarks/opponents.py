@@ -28,7 +28,7 @@ from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.experiments.run import model_digest
 from inflate_lib.inverse.candidates import Drawings, Neighbours, differences
 from inflate_lib.inverse.constraints import Constraints
-from inflate_lib.inverse.search import Designs, Search, choose
+from inflate_lib.inverse.search import Designs, Search, choose, find_model
 from inflate_lib.inverse.targets import as_targets
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.models.reach import check_reach
@@ -62,7 +62,6 @@ class Study:
     def __init__(self, given):
         torch.set_num_threads(1)
         self.given, self.data = given, simulated_sevens(given.source)
-        self.model = load_model(profile=given.profile).made_for("quick")
         self.library = self.data["label"].values[training_rows(self.data)]
         self.rows = np.flatnonzero(self.data["buildable"].values & held_out(self.data.sizes["structure"]))
 
@@ -94,7 +93,7 @@ class Study:
 
     def search(self, kind, start, number, targets, constraints):
         """What a search has found, batch by batch, and the designs in the end."""
-        given, model = self.given, self.model
+        given, model = self.given, find_model(targets, self.given.profile).made_for("quick")
         tolerance = TOLERANCE.get(kind, given.tolerance)
 
         seed = int(np.random.SeedSequence([given.seed, list(KINDS).index(kind), number]).generate_state(1)[0])
@@ -257,7 +256,7 @@ def main():
         "opponents.py",
         data=f"{study.data.attrs['source']}, {study.data.sizes['structure']} structures",
         profile=given.profile,
-        sampling=dict(study.model.sampling),
+        sampling=dict(load_model(profile=given.profile).made_for("quick").sampling),
         seconds_per_target=given.seconds,
         designs=DESIGNS,
         tolerance={"outline": TOLERANCE["outline"], "all others": given.tolerance},

@@ -23,7 +23,7 @@ from inflate_lib._checks import choice, positive_number, whole_number, workers
 from inflate_lib.datasets.simulate import simulated_before, simulated_sevens
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import Descriptors, describe, get_descriptor
-from inflate_lib.descriptors.registry import PHYSICAL, basic, registered
+from inflate_lib.descriptors.registry import DESCRIPTORS, OWN, PHYSICAL, basic, registered
 from inflate_lib.diffusion.storage import fingerprint
 from inflate_lib.inverse.candidates import STARTS, Drawings, Neighbours, differences
 from inflate_lib.inverse.constraints import Constraints, mirrored
@@ -187,7 +187,7 @@ def design(
     n : int
         Number of designs.
     model : Model, optional
-        It draws with its own sampling. By default ``_find_model``.
+        It draws with its own sampling. By default that of :func:`find_model`.
     profile : str, optional
         Take the weights of this profile only.
     data : xarray.Dataset, optional
@@ -234,7 +234,7 @@ def design(
     if start_from == "training":
         model = None
     else:
-        model = (model or _find_model(targets, profile)).made_for("quick")
+        model = (model or find_model(targets, profile)).made_for("quick")
         _check_model(model, targets)
         _check_reach(targets, model.reach if data is None else data)
     structures = data if data is not None and "label" in data else None
@@ -322,24 +322,31 @@ class Search:
         return left < size
 
 
-def _find_model(targets, profile=None):
+def find_model(targets: Targets, profile: str | None = None) -> Model:
     """The model to design with.
 
-    That is the joint model, which takes all that is asked for; where its weights are not there, the model of a single
-    descriptor, or of the box, that takes most of it: the rest hangs together with it, and choice and refinement see to
-    what does not (``benchmarks/joint.py`` measures both on the same targets). Committed weights come first, the best
-    ones of ``data/pretrained`` or those of `profile`; else the model of the profile (``ci`` by default) is found in the
-    cache or trained.
+    That is the model of a single descriptor, or of the box, where it takes all that is asked for; else the joint model,
+    which does; and where its weights are not there, the single model that takes most of it: the rest hangs together
+    with that, and choice and refinement see to what does not (``benchmarks/joint.py`` measures them on the same
+    targets). Committed weights come first, the best ones of ``data/pretrained`` or those of `profile`; else the model
+    of the profile (``ci`` by default) is found in the cache or trained.
+
+    Raises
+    ------
+    ValueError
+        Where a stress or a stretch is asked for, and no joint model is there.
     """
     asked = set(targets.asked)
     joint = [one.name for one in registered() if one.any_part and asked & set(one.parts)]
     singles = [one.name for one in models_in_order() if set(one.parts) <= asked]
-    fitting = joint + (singles if not asked & set(PHYSICAL) else [])
+    singles = [] if asked & {*PHYSICAL} else singles
+    whole = [name for name in singles if set(get_descriptor(name).parts) == asked]
+    fitting = list(dict.fromkeys(whole + joint + singles))
     for folder in (profile,) if profile else _WEIGHTS:
         for name in fitting:
             if (paths.PRETRAINED / folder / f"{name}.safetensors").is_file():
                 return load_model(name, folder)
-    if fitting == joint:
+    if not singles:
         raise _no_joint_model(targets)
     single = singles[0]
     recipe = load_recipe(profile or _WEIGHTS[-1])
@@ -349,7 +356,7 @@ def _find_model(targets, profile=None):
 
 def models_in_order():
     """Descriptors that have a model of their own, the most telling first."""
-    own = [one for one in registered()[::-1] if not one.any_part and one.name not in PHYSICAL]
+    own = [one for one in registered()[::-1] if one.name in DESCRIPTORS or one.name not in OWN]
     return sorted(own, key=lambda one: -one.length)
 
 

@@ -23,7 +23,7 @@ from inflate_lib.inverse import search as searching
 from inflate_lib.inverse.candidates import differences
 from inflate_lib.inverse.constraints import Constraints, _is_symmetric, mirrored
 from inflate_lib.inverse.refine import Rejection, attempt, refine, with_flipped
-from inflate_lib.inverse.search import Stop, _diverse, _find_model, models_in_order
+from inflate_lib.inverse.search import Stop, _diverse, find_model, models_in_order
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.mechanics import Flaw, find_flaw, stress
 from inflate_lib.models.reach import save_reach
@@ -391,13 +391,18 @@ def test_the_model_covers_what_is_asked(data, monkeypatch, tmp_path):
         (["height", "width", "area"], "box"), (["axis"], "axis"), (list(everything), "axis"),
     ):  # fmt: skip
         targets = Targets(**{key: everything[key] for key in asked})
-        model = _find_model(targets)
+        model = find_model(targets)
         assert model.name == model.trained.metadata["descriptor"] == name
         assert len(targets.vector(name)) == len(model.trained.condition_min) and np.isfinite(targets.vector(name)).all()
     weights("joint")
-    for asked in (everything, {"height": 1.0}, {"height": 1.0, "stress": 0.2}):
-        model = _find_model(Targets(**asked))
-        assert model.name == "joint" and len(model.trained.condition_min) == ALL
+    for asked, name in (
+        (everything, "joint"), ({"height": 1.0, "area": 0.8}, "joint"), ({"height": 1.0, "stress": 0.2}, "joint"),
+        ({"height": 1.0}, "height"), ({"height": 1.0, "width": 0.9}, "box"),
+    ):  # fmt: skip
+        assert find_model(Targets(**asked)).name == name
+    assert len(find_model(Targets(**everything)).trained.condition_min) == ALL
+    (tmp_path / "laptop" / "height.safetensors").unlink()
+    assert find_model(Targets(height=1.0)).name == "joint"
     assert [one.name for one in models_in_order()] == ["axis", "box", "area", "width", "height"]
 
 
@@ -438,7 +443,7 @@ def test_the_joint_model_is_told_stress_and_what_it_makes_is_judged_by_it(data, 
 def test_stress_without_a_joint_model_is_refused_with_a_way_out(search, monkeypatch, tmp_path):
     monkeypatch.setattr(paths, "PRETRAINED", tmp_path)
     way_out = "stress and stretch can be asked of the joint model only.*inflate train --descriptor joint.*low-stress"
-    for refused in (_find_model, lambda targets: search(targets)):
+    for refused in (find_model, lambda targets: search(targets)):
         with pytest.raises(ValueError, match=way_out):
             refused(Targets(height=0.9, stress=0.2, stretch=1.4))
 
@@ -473,7 +478,7 @@ def test_arguments_out_of_range_are_refused(search, options, message):
 def run(monkeypatch, capsys, tmp_path, model, data):
     """Run the command with that model; returns exit code, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(searching, "_find_model", lambda targets, profile=None: model)
+    monkeypatch.setattr(searching, "find_model", lambda targets, profile=None: model)
 
     def command(*arguments):
         monkeypatch.setattr(sys, "argv", ["inflate", "design", *arguments])
