@@ -29,7 +29,7 @@ OPTIONS = (
 
 def images():
     """(name, uint8 image) of each structure."""
-    sevens = (255 * load_sevens("digits", limit=6).images).round().astype(np.uint8)
+    sevens = load_sevens("digits", limit=6).images
     yield from ((f"digit {i}", image) for i, image in enumerate(sevens))
     drawn = load_model("joint").made_for("quick").draw({"height": 1.05}, 6, seed=3)
     yield from ((f"drawn {i}", image) for i, image in enumerate((255 * drawn).round().astype(np.uint8)))
