@@ -1,18 +1,16 @@
-/** Bundles the laboratory into `built/`; with `--tests`, its unit tests into `.tests/` for `node --test`. */
+/** Bundles the unit tests into `.tests/`, for `node --test`. */
 
 import { readdirSync } from "node:fs";
 import { build } from "esbuild";
 
-if (process.argv.includes("--tests")) {
-  await build({
-    entryPoints: readdirSync("tests")
-      .filter((name) => name.endsWith(".test.ts"))
-      .map((name) => `tests/${name}`),
-    outdir: ".tests",
-    outExtension: { ".js": ".mjs" },
-    bundle: true,
-    platform: "node",
-    format: "esm",
-    logLevel: "warning",
-  });
-}
+await build({
+  entryPoints: readdirSync("tests")
+    .filter((name) => name.endsWith(".test.ts"))
+    .map((name) => `tests/${name}`),
+  outdir: ".tests",
+  outExtension: { ".js": ".mjs" },
+  bundle: true,
+  platform: "node",
+  format: "esm",
+  logLevel: "warning",
+});
