@@ -195,7 +195,8 @@ class Study:
                     if not reason:
                         change = describe(flipped).height - describe(result).height
                         pairs.append((estimate[row, column], change))
-                found.append(float(spearmanr(*np.transpose(pairs)).statistic))
+                if len(pairs) > 1:  # a structure that cannot be built has no flips to try
+                    found.append(float(spearmanr(*np.transpose(pairs)).statistic))
                 flips += len(pairs)
             target.write_text(json.dumps([float(np.median(found)), flips]))
 
