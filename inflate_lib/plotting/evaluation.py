@@ -236,7 +236,8 @@ def plot_frontier(table):
     """Accuracy over variety of ways of sampling, a panel for each descriptor; at the ends of lines the evaluations.
 
     ``table`` is a frame with the columns descriptor, way, evaluations, R² and variety, as ``benchmarks/sampler.py``
-    stores it. Ways whose names differ in the steps alone are joined by a line.
+    stores it; those of tuned students begin with "tuned, ". Ways whose names differ in the steps alone are joined by a
+    line.
     """
     names = list(dict.fromkeys(table["descriptor"]))
     fig, axes = figure(-(-len(names) // 3), 3, height=5.2 * -(-len(names) // 3), squeeze=False)
@@ -245,6 +246,7 @@ def plot_frontier(table):
     lines = {
         "DDIM, $w = 3$": (r"\d+ steps", COLOURS.wall, "o-"),
         "second order, $w = 5$": (r"second order, w = 5(?:, \d+ steps)?", COLOURS.target, "s--"),
+        "tuned student, $w = 5$": (r"tuned, second order, w = 5(?:, \d+ steps)?", COLOURS.medium, "^-."),
         "other": (".*", COLOURS.ghost, "x"),
     }
     for ax, name in zip(axes.flat, names, strict=False):
@@ -257,5 +259,5 @@ def plot_frontier(table):
                 near = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": 7}
                 ax.annotate(row["evaluations"], (row["variety"], row["R²"]), color=colour, **near)
         ax.set(title=name, xlabel="variety, as a share of the data's", ylabel="$R^2$")
-    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return fig

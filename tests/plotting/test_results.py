@@ -168,12 +168,14 @@ def test_the_frontier_joins_ways_that_differ_in_their_steps_alone():
         "second order",
         "w = 5",
         "η = 0",
+        "tuned, second order, w = 5",
     ]
-    table = pd.DataFrame({"descriptor": "height", "way": ways, "evaluations": [16, 8, 16, 24, 16, 16, 16]})
-    table["R²"], table["variety"] = np.linspace(0.8, 0.9, 7), np.linspace(0.7, 1, 7)
+    table = pd.DataFrame({"descriptor": "height", "way": ways, "evaluations": [16, 8, 16, 24, 16, 16, 16, 8]})
+    table["R²"], table["variety"] = np.linspace(0.8, 0.9, 8), np.linspace(0.7, 1, 8)
     fig = plot_frontier(pd.concat([table, table.assign(descriptor="axis")]))
     for ax in fig.axes[:2]:
-        first, second, other = ax.lines
+        first, second, student, other = ax.lines
+        assert list(student.get_xdata()) == [table.variety[7]]
         assert list(first.get_xdata()) == list(table.variety[[1, 0]])  # the fewest evaluations come first
         assert list(second.get_xdata()) == list(table.variety[[2, 3]])
         assert len(other.get_xdata()) == 3 and other.get_linestyle() == "None"
