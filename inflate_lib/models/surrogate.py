@@ -122,6 +122,7 @@ def train_surrogate(
     """
     whole_number("steps", steps, 1)
     whole_number("seed", seed, 0)
+    whole_number("batch_size", batch_size, 1)
     rows = training_rows(data) if rows is None else rows
     answers = answers or name_of(one.name for one in basic() if one.of_nodes and one.variable in data)
     told = get_descriptor(answers)
