@@ -15,6 +15,7 @@ means over three targets, at a fifth, a half and four fifths of the training str
 """
 
 import argparse
+import json
 import time
 from dataclasses import replace
 
@@ -124,10 +125,13 @@ def main():
             spent, _ = seconds(lambda way=way, some=some: draw(way, some["targets"]))
             rows.append(row | {"ms": 1000 * spent / TIMED})
             print(f"{time.monotonic() - started:.0f} s: {rows[-1]}", flush=True)
-    table = pd.DataFrame(rows)
+    table, remark = pd.DataFrame(rows), ""
     if given.students and (before := paths.REFERENCE / "sampler_students.csv").is_file():
         kept = pd.read_csv(before)
-        table = pd.concat([kept[kept["student"] != table["student"].iloc[0]], table])
+        kept = kept[kept["student"] != table["student"].iloc[0]]
+        table = pd.concat([kept, table])
+        date = json.loads(before.with_suffix(".json").read_text(encoding="utf-8"))["date"]
+        remark = f"students that were {' or '.join(kept['student'].unique())} were measured before, by {date}"
     store(
         table,
         "sampler_students" if given.students else "sampler",
@@ -138,6 +142,7 @@ def main():
         n_calibration=recipe.n_calibration,
         novelty_of_held_out=float(yardstick),
         learning_code=step_version("experiment"),
+        remark=remark,
     )
 
 

@@ -66,20 +66,18 @@ class _Tuning(_Distillation):
         torch._foreach_copy_(self.ema, [p.detach() for p in self.parameters])
         self.critic, self.weight = critic, weight
 
-    def descend(self) -> Tensor:
-        losses = super().descend()
-        missed = self.weight * self.missed().mean()
-        missed.backward()
-        return losses + torch.tensor([missed.item(), 0.0, 0.0], device=self.device)
+    def losses(self, rows: Tensor, y: Tensor, t: Tensor, dropped: Tensor, noise: Tensor) -> Tensor:
+        """Those of the distillation, and to the first what the critic says of a drawing for each target."""
+        loss, *parts = super().losses(rows, y, t, dropped, noise)
+        return torch.stack([loss + self.weight * self.missed(y).sum(), *parts])
 
-    def missed(self) -> Tensor:
-        """What the critic says, (n,), of one drawing for each target of this step's batch."""
-        _, y, *_ = self.draw()
+    def missed(self, y: Tensor) -> Tensor:
+        """What the critic says, (n,), of one drawing for each of the targets (n, N)."""
         n, steps, size = len(y), _TUNED_FOR[self.step % len(_TUNED_FOR)], self.images.shape[1:]
         generator = random_generator(self.config.seed, 8, self.step)
         w = (torch.rand(n, generator=generator) * math.log(self.config.strongest)).exp().to(self.device)
         noise = (torch.randn((n, 1, *size), generator=generator).to(self.device) for _ in range(steps + 1))
-        y, number = y.to(self.device), 0
+        number = 0
 
         def predict(x, t):
             nonlocal number

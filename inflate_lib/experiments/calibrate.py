@@ -61,7 +61,7 @@ def calibrate_weights(
 
     Into the header of each file go the recipe's ways of sampling and the calibrations for each, and ``reach.npz``
     beside them holds what the structures reach. The weights stay as they are. A joint model is calibrated for every
-    combination of height, width and area, and for the axis, stress and stretch alone, as far as it follows them.
+    combination of height, width and area, and for each other part alone, as far as it follows them.
     Students, in a folder ``students``, are calibrated for what they answer: all ways but the first.
 
     Parameters

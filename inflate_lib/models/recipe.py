@@ -10,7 +10,7 @@ It is the section ``recipe`` of ``notebooks/profiles/<name>.yml``::
       training: {…}            # options of inflate_lib.diffusion.TrainingConfig
       sampling: {…}            # options of inflate_lib.diffusion.generate
       samplers: {quick: {…}}   # what differs for other purposes, by name; may be left out
-      student: {strongest: 10} # guidance is distilled so, into a student for the purpose "quick"; may be left out
+      student: {strongest: 10} # guidance is distilled so, into a student for the other purposes; may be left out
       tuning: {steps: 1000}    # the student is tuned so, by a surrogate of the simulation; may be left out
       n_calibration: 200       # structures drawn to calibrate a model; 0: none
 
@@ -106,7 +106,9 @@ class Recipe:
         _check_names("student", self.student, _STUDENT)
         _check_names("tuning", self.tuning, _TUNING)
         for name, value in self.tuning.items():
-            positive_number(name, value) if name == "weight" else whole_number(f"tuning.{name}", value, 1)
+            positive_number(f"tuning.{name}", value) if name == "weight" else whole_number(f"tuning.{name}", value, 1)
+        if self.tuning and not self.student:
+            raise ValueError("tuning: there is no student to tune; give the section student as well")
         _check_names("samplers", self.samplers, PURPOSES[1:])
         for where, options in {"sampling": self.sampling, **self.samplers}.items():
             if not isinstance(options, Mapping):

@@ -65,9 +65,9 @@ class Model:
         ----------
         targets : Mapping
             Descriptor → value, in lengths and areas of the unit square: ``{"height": 1.05, "area": 0.8}``; "box" is
-            (height, width), "axis" (30, 2). Or an array of m values, an axis (m, 30, 2). The joint model takes any
-            combination; calibrated are those of height, width and area, and axis, stress and stretch alone. Others are
-            told as they are.
+            (height, width), "axis" (30, 2), "outline" (32,). Or an array of m values, an axis (m, 30, 2). The joint
+            model takes any combination; calibrated are those of height, width and area, and each other part alone.
+            Others are told as they are.
         n : int
             Structures for each target.
         seed : int

@@ -75,7 +75,7 @@ def _draw_targets(ax, targets, nodes):
         closed = np.vstack([targets.drawing, targets.drawing[:1]])
         shift = [middle - (closed[:, 0].min() + closed[:, 0].max()) / 2, bottom]
         ax.plot(*(closed + shift).T, **style)
-        names = [name for name in names if name not in DESCRIPTORS[:-1] and name != "outline"]
+        names = [name for name in names if name == "axis" or name not in (*DESCRIPTORS, "outline")]
     for one in registered():  # what is put together takes the place of its parts
         if not one.is_basic and set(one.parts) <= set(names):
             names = [one.name, *(name for name in names if name not in one.parts)]

@@ -140,6 +140,10 @@ def test_retrieval_is_the_better_start_and_drawings_are_newer():
         assert error[name, name, 1] < error[name, "joint", 1]
     assert error["height and width and area", "box", 4] < error["height and width and area", "joint", 4]
     assert error["height and stress", "joint", 1] < error["height and stress", "height", 1]
+    assert error["area and axis", "joint", 4] < error["area and axis", "axis", 4]
+    outlines = pd.read_csv(paths.REFERENCE / "joint.csv").query("group == 'outline'").set_index("targets")
+    whole, reduced = outlines.loc["outline"], outlines.loc["height and width and area and axis"]
+    assert whole["median error low"] < reduced["median error high"] and reduced["median error"] < whole["median error"]
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
