@@ -79,7 +79,8 @@ class Recipe:
         Empty: there is none.
     tuning : Mapping
         How the student is tuned (:func:`inflate_lib.diffusion.distillation.tune`): ``steps`` and ``weight`` there;
-        ``blends`` and ``surrogate_steps``, with which the surrogate is trained that judges it. Empty: it is not.
+        ``blends`` and ``surrogate_steps``, with which the surrogate is trained that judges it; ``steps_of`` as there.
+        Empty: it is not.
     """
 
     source: str
@@ -104,8 +105,8 @@ class Recipe:
         if own := [name for name in ("seed", "parts") if name in self.training]:
             raise ValueError(f"training: {own[0]} follows from the recipe's seed and the descriptor; leave it out")
         _check_names("student", self.student, _STUDENT)
-        _check_names("tuning", self.tuning, _TUNING)
-        for name, value in self.tuning.items():
+        _check_names("tuning", self.tuning, (*_TUNING, "steps_of"))
+        for name, value in self.tuned().items():
             positive_number(f"tuning.{name}", value) if name == "weight" else whole_number(f"tuning.{name}", value, 1)
         if self.tuning and not self.student:
             raise ValueError("tuning: there is no student to tune; give the section student as well")
@@ -153,22 +154,15 @@ class Recipe:
         """Options of sampling for each purpose but the first, by its name."""
         return {name: {**self.sampling, **changes} for name, changes in self.samplers.items()}
 
-    def tuned(self) -> dict[str, Any]:
-        """The options of ``tuning``, all of them; empty where students are not tuned."""
-        return {**_TUNING, **self.tuning} if self.tuning else {}
+    def tuned(self, descriptor: str = "") -> dict[str, Any]:
+        """The options of ``tuning`` for one descriptor's student, all of them; empty where students are not tuned."""
+        return _own_steps({**_TUNING, **self.tuning}, descriptor) if self.tuning else {}
 
     def config(self, descriptor: str) -> "TrainingConfig":
         """The training configuration of one descriptor's model."""
         from inflate_lib.diffusion import TrainingConfig
 
-        options = {**self.training, "seed": self.seed}
-        steps_of = options.pop("steps_of", None) or {}
-        if not isinstance(steps_of, Mapping):
-            raise ValueError(f"steps_of must be a mapping of descriptors to numbers of steps, not {steps_of!r}")
-        for name, steps in steps_of.items():
-            whole_number(f"steps_of.{get_descriptor(name).name}", steps, 1)
-        if descriptor in steps_of:
-            options["steps"] = steps_of[descriptor]
+        options = _own_steps({**self.training, "seed": self.seed}, descriptor)
         one = get_descriptor(descriptor)
         options["parts"] = [get_descriptor(part).length for part in one.parts] if one.any_part else []
         return TrainingConfig.from_dict(options)
@@ -202,6 +196,17 @@ def read_profile(name: str, folder: Path | None = None) -> tuple[Any, Path]:
 def _check_names(where, values, known):
     if unknown := [name for name in values if name not in known]:
         raise ValueError(f"{where}: unknown {', '.join(map(str, unknown))}; there are: {', '.join(known)}")
+
+
+def _own_steps(options, descriptor):
+    """The options, with the number of steps that ``steps_of`` gives a descriptor."""
+    options = dict(options)
+    steps_of = options.pop("steps_of", None) or {}
+    if not isinstance(steps_of, Mapping):
+        raise ValueError(f"steps_of must be a mapping of descriptors to numbers of steps, not {steps_of!r}")
+    for name, steps in steps_of.items():
+        whole_number(f"steps_of.{get_descriptor(name).name}", steps, 1)
+    return options | ({"steps": steps_of[descriptor]} if descriptor in steps_of else {})
 
 
 def _options(name, change):

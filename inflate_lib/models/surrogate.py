@@ -182,24 +182,20 @@ def critic(surrogate: Surrogate, model: TrainedModel, descriptor: str) -> Callab
     -------
     callable
         ``loss(x, y)`` of drawings (n, 1, 28, 28) in [−1, 1] and the scaled conditions (n, N) that they were drawn for,
-        NaN where a part was withheld → (n,): the mean over the parts that were asked for, in standard deviations
-        squared. It can be differentiated with respect to x.
+        NaN where a part was withheld → (n,): the sum over the parts that were asked for, in standard deviations
+        squared, so that each weighs as much as in a model of its own. It can be differentiated with respect to x.
     """
     at, net = surrogate.columns(descriptor), surrogate.net.eval().requires_grad_(False)
     extent, low = model.condition_max - model.condition_min, model.condition_min
     slope, offset = extent / surrogate.scale[at], (low - surrogate.mean[at]) / surrogate.scale[at]
     slope, offset = (torch.from_numpy(values).float() for values in (slope, offset))
-    parts = model.config.parts or [len(at)]
+    sizes = torch.tensor(model.config.parts or [len(at)])
+    share = (1 / sizes).repeat_interleave(sizes)  # of each number in its part
 
     def loss(x: Tensor, y: Tensor) -> Tensor:
         answers, wanted = net(soft_label((x[:, 0] + 1) / 2))[:, at], y * slope + offset
-        asked = ~wanted.isnan()
-        errors = robust(answers, torch.where(asked, wanted, answers.detach()))  # none where nothing is wanted
-        by_part, shares = (
-            torch.stack([part.mean(dim=1) for part in some.split(list(parts), dim=1)], dim=1)
-            for some in (errors, asked.float())
-        )
-        return by_part.sum(dim=1) / shares.sum(dim=1).clamp(min=1)
+        wanted = torch.where(wanted.isnan(), answers.detach(), wanted)  # no error where nothing is wanted
+        return robust(answers, wanted) @ share
 
     return loss
 

@@ -132,8 +132,9 @@ def tuned_file(path: Path, teacher: TrainedModel, recipe: Recipe, data) -> Path:
     recipe, data
         See :func:`trained_model_file`; the recipe has a section ``tuning``.
     """
-    student, options = TrainedModel.load(path), recipe.tuned()
+    student = TrainedModel.load(path)
     pairs = training_set(student.metadata["descriptor"], recipe, data)
+    options = recipe.tuned(pairs.descriptor)
 
     def make(target, scratch):
         surrogate = judge_of(data, recipe)

@@ -66,8 +66,8 @@ def untrained(told):
     return model, judge
 
 
-@pytest.mark.parametrize("told", ["height", "box", "joint"])
-def test_a_critic_finds_nothing_amiss_where_the_surrogate_expects_the_target(told):
+@pytest.mark.parametrize(("told", "parts"), [("height", 1), ("box", 1), ("joint", len(PARTS))])
+def test_a_critic_finds_nothing_amiss_where_the_surrogate_expects_the_target(told, parts):
     model, judge = untrained(told)
     target = model.condition_min + RNG.random((3, len(model.condition_min)))
     answers = torch.from_numpy((target - judge.mean) / judge.scale).float()
@@ -76,7 +76,7 @@ def test_a_critic_finds_nothing_amiss_where_the_surrogate_expects_the_target(tol
     judged = surrogate.critic(judge, model, told)
     assert judged(x, y).abs().max() < 1e-10
     judge.net.answers = answers + 0.1
-    assert torch.allclose(surrogate.critic(judge, model, told)(x, y), torch.tensor(0.01), rtol=1e-4)
+    assert torch.allclose(surrogate.critic(judge, model, told)(x, y), torch.tensor(0.01 * parts), rtol=1e-4)
 
 
 def test_a_critic_passes_over_what_was_not_asked_for():
