@@ -14,7 +14,6 @@ import time
 from dataclasses import replace
 
 import pandas as pd
-import torch
 from joblib import Parallel, delayed
 from stored import store
 
@@ -25,24 +24,11 @@ from inflate_lib.datasets.split import training_rows
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.experiments.run import held_out_targets
 from inflate_lib.models.recipe import load_recipe
-from inflate_lib.models.remote import train_and_test
-from inflate_lib.models.train import trained_model_file, training_set
+from inflate_lib.models.train import trained_model_file
 from inflate_lib.models.weights import Model, committed_weights
 from inflate_lib.structures.augmentation import PAPER_SAMPLES
 
-NORMALISATION = "network", "one group in each normalisation"
 PAIRS = {("pairs", "originals alone"): 0, ("pairs", "with flips and shifts"): PAPER_SAMPLES}
-
-
-class OneGroup(TrainingConfig):
-    """Layer normalisation, over all channels at once: the paper names none, and the library offers one kind."""
-
-    def make_net(self, n_conditions):
-        net = super().make_net(n_conditions)
-        for layer in net.modules():
-            if isinstance(layer, torch.nn.GroupNorm):
-                layer.num_groups = 1
-        return net
 
 
 def options():
@@ -66,21 +52,11 @@ def run(variant, seed, training, n_structures, data, targets, recipe, descriptor
     recipe = replace(recipe, training=training, seed=seed)
     if variant in PAIRS:
         recipe = replace(recipe, n_augmented=max(PAIRS[variant], len(training_rows(data))))
-    if variant == NORMALISATION:
-        model = train_with_one_group(recipe, data, descriptor)
-    else:
-        given = descriptor, recipe, few
-        path = committed_weights(*given)[0] or trained_model_file(*given, threads=1)
-        model = TrainedModel.load(path)
+    wanted = descriptor, recipe, few
+    model = TrainedModel.load(committed_weights(*wanted)[0] or trained_model_file(*wanted, threads=1))
     row = {"group": group, "variant": name, "seed": seed, "pairs": model.metadata["pairs"]}
     row |= {"training_seconds": model.metadata["seconds"], "held_out_loss": model.metadata["held_out_loss"]}
     return row | ablation.evaluate_variant(Model(descriptor, model, recipe.sampling), data, targets, seed, n_jobs=1)
-
-
-def train_with_one_group(recipe, data, descriptor):
-    """As `trained_model_file` does, but not kept: a model file does not tell one normalisation from another."""
-    known, config = training_set(descriptor, recipe, data), OneGroup.from_dict(recipe.config(descriptor).as_dict())
-    return train_and_test(known.pairs, known.unseen, config, {}, None, f"training {descriptor}, one group", 1)
 
 
 def main():
@@ -90,8 +66,7 @@ def main():
     training = {k: v for k, v in recipe.training.items() if k not in ("checkpoint_every", "steps_of")} | budget
     data = simulated_sevens(given.source)
     targets, _ = held_out_targets(data, given.descriptor, n=given.targets)
-    variants = ablation.training_variants(training) | {NORMALISATION: (training, None)}
-    variants |= dict.fromkeys(PAIRS, (training, None))
+    variants = ablation.training_variants(training) | dict.fromkeys(PAIRS, (training, None))
     variants = {k: v for k, v in variants.items() if v[1] is None or v[1] < data.sizes["structure"]}
     if given.only:
         if unknown := set(given.only) - {name for _, name in variants}:

@@ -3,8 +3,7 @@
     python benchmarks/baselines.py [--targets 40]
 
 asks each of them for one structure per target, and writes data/reference/baselines.csv, which the chapter "Baselines"
-shows, and baselines.json beside it, with what the two trained methods had to spend. Then it varies the sampling of one
-model and writes sampling.csv.
+shows, and baselines.json beside it, with what the two trained methods had to spend.
 """
 
 import argparse
@@ -14,7 +13,7 @@ import numpy as np
 import pandas as pd
 from stored import store
 
-from inflate_lib.alternatives.ablation import measures, sampling_ablation
+from inflate_lib.alternatives.ablation import measures
 from inflate_lib.alternatives.autoencoder import calibrate_autoencoder, run_autoencoder, train_autoencoder
 from inflate_lib.alternatives.retrieval import random_structures, retrieved_structures
 from inflate_lib.datasets.simulate import simulated_sevens
@@ -33,8 +32,6 @@ def options():
     parser.add_argument("--profile", default="laptop", help="whose models are asked")
     parser.add_argument("--targets", type=int, help="held-out targets; all of them")
     parser.add_argument("--autoencoded", nargs="*", default=["height", "axis"], help="that one is trained for")
-    parser.add_argument("--varied", type=int, default=100, help="held-out heights that the sampling is varied on")
-    parser.add_argument("--calibrated", type=int, default=100, help="structures to calibrate each sampling with")
     parser.add_argument("--remark", default="", help="what else the machine did, for the record")
     return parser.parse_args()
 
@@ -74,10 +71,6 @@ def main():
     note = {"data": f"{data.attrs['source']}, {data.sizes['structure']} structures", "profile": given.profile}
     note |= {"sampling": dict(recipe.sampling), "remark": given.remark}
     store(pd.DataFrame(rows), "baselines", "baselines.py", **note, targets=len(wanted), spent=spent)
-    wanted, _ = held_out_targets(data, "height", models["height"], given.varied, seed)
-    varied = sampling_ablation(models["height"], data, wanted, seed, given.calibrated)
-    note |= {"descriptor": "height", "targets": len(wanted), "calibrated": given.calibrated}
-    store(varied, "sampling", "baselines.py", **note)
 
 
 if __name__ == "__main__":

@@ -4,11 +4,12 @@
     python benchmarks/sampler.py --students     those into which guidance was distilled
 
 The first writes data/reference/sampler.csv, the second sampler_students.csv, which the chapter "Training" shows, each
-with a note beside it that says where it comes from. Of students that were tuned, the second replaces the rows of such
-students, and leaves those that were made before tuning; and the other way round. Every drawing is kept in the cache: a
-script that was stopped goes on where it was.
+with a note beside it that says where it comes from. Rows that a run does not measure stay as they are: those of other
+descriptors and ways, and of students before they were tuned. Every drawing is kept in the cache: a script that was
+stopped goes on where it was.
 
-Each way is calibrated by itself and judged on all held-out targets in range, one drawing each. Variety is the mean
+Each way is calibrated by itself, but for that of the paper, and judged on all held-out targets in range, one drawing
+each. Variety is the mean
 distance of a hundred drawings for one target, as a share of that of as many real structures nearest to the target;
 novelty the median distance to the nearest training structure, as a share of that of held-out real structures; both are
 means over three targets, at a fifth, a half and four fifths of the training structures (by size, for a line).
@@ -62,6 +63,8 @@ WAYS |= {
     "second order, η = 0": EIGHT | SECOND | {"eta": 0.0},
     "second order, η = 0, w = 2, 16 steps": SECOND | {"steps": 16, "eta": 0.0, "guidance": 2.0},
 }
+PAPER = "as the paper"  # a thousand steps each: for one descriptor, and only where it is asked for
+WAYS[PAPER] = {"sampler": "ancestral", "guidance": 1.0}
 FOR_STUDENTS = {name: way for name, way in WAYS.items() if name.startswith("second order, w = 5")}
 FOR_STUDENTS["second order, w = 8, 5 steps"] = SECOND | {"steps": 5, "guidance": 8.0}
 ALIKE = 100  # drawings for one target
@@ -74,6 +77,7 @@ def options():
     parser.add_argument("--students", action="store_true", help="in the few ways that suit models told their guidance")
     parser.add_argument("--descriptors", nargs="+", default=list(DESCRIPTORS), choices=DESCRIPTORS)
     parser.add_argument("--thorough", nargs="*", default=["height", "axis"], help="asked in every way, the rest in few")
+    parser.add_argument("--only", nargs="+", metavar="WAY", help="these ways alone, by their names in the table")
     parser.add_argument("--targets", type=int, help="held-out targets (default: all in range)")
     parser.add_argument("--source", default="mnist")
     parser.add_argument("--seed", type=int, default=0)
@@ -103,21 +107,26 @@ def main():
     recipe, data = load_recipe(given.profile), simulated_sevens(given.source)
     known = training_rows(data)
     unseen = np.setdiff1d(np.flatnonzero(data["converged"].values), known)
+    ways = FOR_STUDENTS if given.students else WAYS
+    if unknown := set(given.only or ()) - set(ways):
+        raise SystemExit(f"no way {sorted(unknown)}; there are {list(ways)}")
     yardstick = np.median(novelty(data["image"].values[unseen], data, known)[0])
     for descriptor in given.descriptors:
         model = load_model(descriptor, weights).sampled(**WAYS["25 steps"], sampler="ddim", eta=1.0, guidance=3.0)
         targets, _ = held_out_targets(data, descriptor, model, given.targets, given.seed)
-        for name in FOR_STUDENTS if given.students else WAYS if descriptor in given.thorough else MAIN:
-            way = model.sampled(**(FOR_STUDENTS if given.students else WAYS)[name])
+        usual = [name for name in ways if given.students or name in MAIN or descriptor in given.thorough]
+        for name in given.only or [name for name in usual if name != PAPER]:
+            way, n_calibration = model.sampled(**ways[name]), 0 if name == PAPER else recipe.n_calibration
             row = {"descriptor": descriptor, "way": name, "evaluations": evaluations(way, targets[0])}
             if given.students:
                 row["student"] = "tuned" if "tuning" in model.trained.metadata else "distilled"
-            row |= evaluate_variant(way, data, targets, given.seed, recipe.n_calibration, n_jobs=1)
+            row |= evaluate_variant(way, data, targets, given.seed, n_calibration, n_jobs=1)
             row["unit"] = get_descriptor(descriptor).error.unit
-            fit = calibrate(way, data, recipe.n_calibration, given.seed, n_jobs=1)
+            if n_calibration:
+                fit = calibrate(way, data, n_calibration, given.seed, n_jobs=1)
+                way = replace(way, calibrations={descriptor: fit})
             three = three_targets(data, descriptor)
-            told = replace(way, calibrations={descriptor: fit})
-            alike = run_experiment(told, three, ALIKE, given.seed + 1, n_jobs=1, extrapolate=True)
+            alike = run_experiment(way, three, ALIKE, given.seed + 1, n_jobs=1, extrapolate=True)
             row["variety"] = diversity(alike, descriptor, data, n_resamples=10)["ratio"].mean()
             far = novelty(alike["image"].values, data, known)[0].reshape(len(three), ALIKE)
             row["novelty"] = np.median(far, axis=1).mean() / yardstick
@@ -125,16 +134,16 @@ def main():
             spent, _ = seconds(lambda way=way, some=some: draw(way, some["targets"]))
             rows.append(row | {"ms": 1000 * spent / TIMED})
             print(f"{time.monotonic() - started:.0f} s: {rows[-1]}", flush=True)
-    table, remark = pd.DataFrame(rows), ""
-    if given.students and (before := paths.REFERENCE / "sampler_students.csv").is_file():
-        kept = pd.read_csv(before)
-        kept = kept[kept["student"] != table["student"].iloc[0]]
+    table, remark, name = pd.DataFrame(rows), "", "sampler_students" if given.students else "sampler"
+    if (before := paths.REFERENCE / f"{name}.csv").is_file():
+        kept, key = pd.read_csv(before), ["descriptor", "way", *(["student"] if given.students else [])]
+        kept = kept[~kept.set_index(key).index.isin(table.set_index(key).index)]
         table = pd.concat([kept, table])
         date = json.loads(before.with_suffix(".json").read_text(encoding="utf-8"))["date"]
-        remark = f"students that were {' or '.join(kept['student'].unique())} were measured before, by {date}"
+        remark = f"{len(kept)} of the rows were measured before, by {date}" if len(kept) else ""
     store(
         table,
-        "sampler_students" if given.students else "sampler",
+        name,
         "sampler.py",
         data=f"{data.attrs['source']}, {data.sizes['structure']} structures",
         weights=f"data/pretrained/{weights}",

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from inflate_lib._lazy import attach
 
 if TYPE_CHECKING:
-    from inflate_lib.alternatives.ablation import sampling_ablation, training_variants
+    from inflate_lib.alternatives.ablation import training_variants
     from inflate_lib.alternatives.autoencoder import run_autoencoder, train_autoencoder
     from inflate_lib.alternatives.best_of import selection
     from inflate_lib.alternatives.retrieval import random_structures, retrieved_structures
@@ -15,7 +15,6 @@ __all__ = [
     "random_structures",
     "retrieved_structures",
     "run_autoencoder",
-    "sampling_ablation",
     "selection",
     "steer",
     "train_autoencoder",

@@ -1,7 +1,6 @@
-"""What matters? The same targets, asked again with one thing changed: in sampling, or in training.
+"""What in the training matters? The same targets, asked again after a training with one thing changed.
 
-Sampling is varied with a trained model at hand. Training is varied by training again, for a small budget: that is what
-``benchmarks/ablation.py`` does once, for the table that the book shows.
+``benchmarks/ablation.py`` trains so, for a small budget, for the table that the book shows.
 """
 
 import warnings
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from inflate_lib._checks import whole_number
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.diffusion import TrainingConfig
 from inflate_lib.experiments.calibrate import calibrate
@@ -20,15 +18,10 @@ from inflate_lib.experiments.run import held_out_seed, run_experiment
 from inflate_lib.experiments.tables import scores
 
 if TYPE_CHECKING:
-    import numpy as np
-    import xarray as xr
+    pass
 
-    from inflate_lib.models import Model
-
-_GUIDANCE = (0.0, 1.0, 2.0, 3.0, 5.0)
 _N_CALIBRATION = 150  # structures drawn to calibrate a model
-_FAST = (10, 20, 50)  # steps of the fast samplers
-_STRUCTURES = (600, 2000)  # structures, besides all
+_FEWER = 2000  # structures, besides all
 MEASURES = ("R²", "median error", "valid", "buildable")
 _PAPER = {
     "objective": "epsilon",
@@ -38,17 +31,6 @@ _PAPER = {
     "learning_rate_decay": "constant",
     "warmup_steps": 0,
 }
-
-
-def _sampling_variants(sampling):
-    """Ways of sampling, (group, name) → options of :func:`inflate_lib.diffusion.generate`."""
-    variants = {("guidance", f"w = {w:g}"): {**sampling, "guidance": w} for w in _GUIDANCE}
-    variants["sampler", "ancestral, all steps"] = {**sampling, "sampler": "ancestral"}
-    ways = {"DDIM": {"sampler": "ddim"}, "DPM-Solver++": {"sampler": "dpm-solver++", "eta": 0.0}}
-    for name, way in ways.items():
-        for steps in _FAST:
-            variants["sampler", f"{name}, {steps} steps"] = {**sampling, **way, "steps": steps}
-    return variants
 
 
 def training_variants(training: Mapping) -> dict:
@@ -65,8 +47,6 @@ def training_variants(training: Mapping) -> dict:
         changes["recipe", "without the VLB term"] = {"vlb_weight": 0.0}
     if plain.timestep_draws > 1:
         changes["recipe", "t drawn uniformly"] = {"timestep_draws": 1}
-    if plain.min_snr == 0:
-        changes["recipe", "min-SNR weighting, γ = 5"] = {"min_snr": 5.0}
     changes["recipe", "paper's loss and optimiser"] = _PAPER
     # What the paper leaves open.
     other = "add" if plain.conditioning == "scale-shift" else "scale-shift"
@@ -74,33 +54,7 @@ def training_variants(training: Mapping) -> dict:
     changes["network", "attention at 7 × 7"] = {"attention": True}
     changes["network", "two residual blocks per scale"] = {"blocks": 2}
     variants = {names: ({**training, **change}, None) for names, change in changes.items()}
-    for n in _STRUCTURES:
-        variants["data", f"{n} structures"] = (training, n)
-    return variants
-
-
-def sampling_ablation(
-    model: "Model", data: "xr.Dataset", targets: "np.ndarray", seed: int = 0, n_calibration: int = 0
-) -> pd.DataFrame:
-    """The same targets, sampled in every way of ``_sampling_variants``.
-
-    With `n_calibration` structures each way is calibrated by itself; the last row is then the model's own way without.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row per way: group, variant, and of each measure the value with low and high, the ends of its interval.
-    """
-    whole_number("seed", seed, 0)
-    whole_number("n_calibration", n_calibration, 0)
-    rows = []
-    for (group, name), options in _sampling_variants(model.sampling).items():
-        measured = evaluate_variant(model.sampled(**options), data, targets, seed, n_calibration=n_calibration)
-        rows.append({"group": group, "variant": name} | measured)
-    if n_calibration:
-        measured = evaluate_variant(model, data, targets, seed, n_calibration=0)
-        rows.append({"group": "calibration", "variant": "none"} | measured)
-    return pd.DataFrame(rows)
+    return variants | {("data", f"{_FEWER} structures"): (training, _FEWER)}
 
 
 def evaluate_variant(model, data, targets, seed=0, n_calibration=_N_CALIBRATION, descriptor=None, n_jobs=-1):
@@ -130,11 +84,8 @@ def measures(experiment, descriptor, data, seed=0):
 
 
 def over_seeds(runs):
-    """Runs of ``benchmarks/ablation.py``, one row per run → one per variant: mean over the seeds, lowest, highest.
-
-    A measure that a stored table does not have yet is NaN.
-    """
-    rows, runs = [], runs.reindex(columns=[*runs, *(measure for measure in MEASURES if measure not in runs)])
+    """Runs of ``benchmarks/ablation.py``, one row per run → one per variant: mean over the seeds, lowest, highest."""
+    rows = []
     for (group, name), part in runs.groupby(["group", "variant"], sort=False):
         row = {"group": group, "variant": name, "seeds": len(part)}
         for measure in MEASURES:

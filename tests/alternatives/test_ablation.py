@@ -6,16 +6,6 @@ from inflate_lib.alternatives import ablation
 from inflate_lib.diffusion import TrainingConfig
 
 
-def test_variants_of_sampling_change_one_thing():
-    base = {"sampler": "ddim", "steps": 50, "eta": 1.0, "guidance": 1.0}
-    variants = ablation._sampling_variants(base)
-    assert {options["guidance"] for (group, _), options in variants.items() if group == "guidance"} == {0, 1, 2, 3, 5}
-    assert {options["guidance"] for (group, _), options in variants.items() if group == "sampler"} == {1}
-    assert variants["sampler", "DDIM, 50 steps"] == base
-    assert [o["steps"] for (_, name), o in variants.items() if name.startswith("DPM")] == [10, 20, 50]
-    assert variants["sampler", "ancestral, all steps"]["sampler"] == "ancestral"
-
-
 def test_variants_of_training_change_one_thing_and_are_recipes():
     base = {"steps": 10, "objective": "v", "ema_decay": 0.99, "vlb_weight": 0.001}
     variants = ablation.training_variants(base)
@@ -33,6 +23,7 @@ def test_seeds_are_put_together():
 
     runs = pd.DataFrame({"group": ["a"] * 3, "variant": ["x", "x", "y"], "seed": [0, 1, 0]})
     runs = runs.assign(**{"R²": [0.5, 0.7, 0.1], "median error": [4.0, 2.0, 9.0], "valid": [90.0, 94.0, 50.0]})
+    runs = runs.assign(buildable=[80.0, 84.0, 40.0])
     table = ablation.over_seeds(runs).set_index("variant")
     assert table.loc["x", ["seeds", "R²", "R² low", "R² high"]].tolist() == pytest.approx([2, 0.6, 0.5, 0.7])
-    assert table.loc["y", "seeds"] == 1 and table.loc["x", "median error"] == 3
+    assert table.loc["x", "buildable"] == 82 and table.loc["y", "seeds"] == 1 and table.loc["x", "median error"] == 3
