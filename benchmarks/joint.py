@@ -120,6 +120,7 @@ class Study:
             drawn = self.answers(model, parts, rows, 1)
             miss = get_descriptor("outline").error.of(descriptor_matrix(drawn, "outline"), wanted)
             measured = self.measured(np.where(drawn["valid"].values, miss, np.inf), percent=1) | {"unit": "px"}
+            measured["buildable"] = 100 * float(drawn["buildable"].values.mean())
             self.add("outline", " and ".join(parts), model, 1, measured)
 
     def rows_asked(self):
