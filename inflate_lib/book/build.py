@@ -49,6 +49,7 @@ def build_book(profile_name: str, console: Console | None = None) -> Path:
 def _made_of(profile_name: str) -> str:
     """The digest of all that pages are made of: files of the repository, executed notebooks, the profile's figures."""
     folders = paths.BOOK, paths.ROOT / "inflate_lib", paths.DATA, paths.FIGURES / profile_name
+    folders += (paths.ROOT / "lab" / "built",)
     skipped = paths.BOOK / "_build", paths.CACHE
     files = [*paths.ROOT.glob("*.md"), *(path for folder in folders for path in folder.rglob("*.*"))]
     files = [path for path in sorted(files) if path.is_file() and "__pycache__" not in path.parts]

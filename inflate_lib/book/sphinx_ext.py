@@ -145,9 +145,8 @@ def _configure(app, config):
     caption = f"{_HERO_CAPTION} {error or ''} Drawn from results of this book's run (profile {profile})."
     hero = f"```{{figure}} {picture.as_posix()}\n:alt: {_HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
     config.myst_substitutions = {**config.myst_substitutions, "hero": hero if (paths.BOOK / picture).is_file() else ""}
-    data = paths.FIGURES / profile / f"{_EXPLORER}.js"
-    if data.is_file():
-        config.html_static_path = [*config.html_static_path, str(data)]
+    scripts = [paths.FIGURES / profile / f"{_EXPLORER}.js", *sorted((paths.ROOT / "lab" / "built").glob("*.js"))]
+    config.html_static_path = [*config.html_static_path, *(str(script) for script in scripts if script.is_file())]
 
 
 def _add_badge(app, doctree):

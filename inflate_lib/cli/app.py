@@ -16,7 +16,7 @@ import typer
 from inflate_lib._progress import degrade
 
 #: In the order in which --help lists them.
-_COMMANDS = ("reproduce", "book", "dataset", "simulate", "design", "train", "card", "info")
+_COMMANDS = ("reproduce", "book", "dataset", "simulate", "design", "train", "card", "export", "info")
 
 app = typer.Typer(
     help="Inverse design of inflatable structures with denoising diffusion: the runnable companion of the paper.",

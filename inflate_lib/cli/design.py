@@ -25,6 +25,9 @@ def design(
     outline_unit: Annotated[
         float | None, typer.Option(help="User units of that SVG (pixels of the PNG) per side of the frame [--size-mm].")
     ] = None,
+    from_file: Annotated[
+        Path | None, typer.Option("--from", help="Carry on a structure that the book's laboratory saved as JSON.")
+    ] = None,
     number: Annotated[int, typer.Option("-n", "--number", min=1, max=1000, help="How many designs.")] = 12,
     tolerance: Annotated[float, typer.Option(help="Largest relative error of every target.")] = 0.01,
     prefer: Annotated[str | None, typer.Option(help="low-stress or high-stress, among those that fit.")] = None,
@@ -65,6 +68,12 @@ def design(
     from inflate_lib.inverse.targets import read_targets
 
     check_sizes(size_mm=size_mm, depth_mm=depth_mm)
+    asked = height, width, area, stress, stretch, axis, outline
+    if from_file is not None:
+        if any(value is not None for value in asked):
+            raise ValueError("--from takes its targets from the file: leave out --height, --width, --area and the like")
+        _carry_on(from_file, out, tolerance, refine, seed, size_mm, depth_mm, overwrite)
+        return
     unit = size_mm if outline_unit is None else outline_unit
     targets = read_targets(axis, outline, unit, height=height, width=width, area=area, stress=stress, stretch=stretch)
     constraints = from_millimetres(size_mm, min_void_mm, max_material_mm2, symmetric, keep_out_mm)
@@ -86,4 +95,18 @@ def design(
         raise typer.Exit(130) from None
     print(f"written in {time.monotonic() - start:.1f} s: {out / 'contact_sheet.png'}, and a folder for each design")
     if sum(one.within for one in found.designs) < number:
+        raise typer.Exit(2)
+
+
+def _carry_on(file, out, tolerance, refine, seed, size_mm, depth_mm, overwrite):
+    """Write the structure of a file as a design."""
+    from inflate_lib.inverse.drawn import continue_drawn
+    from inflate_lib.inverse.save import claimed_folder, write_designs
+
+    with claimed_folder(out, 1, overwrite, [file]) as folder:
+        found = continue_drawn(file, tolerance, refine, seed)
+        print(found.table().to_string(index=False, float_format="{:.4g}".format))
+        write_designs(found, folder, size_mm, depth_mm)
+    print(f"written: {out / 'contact_sheet.png'}, and the folder {out / 'design_01'}")
+    if not found.designs[0].within:
         raise typer.Exit(2)

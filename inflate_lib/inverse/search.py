@@ -52,6 +52,7 @@ class Stop(StrEnum):
     ENOUGH = "There were enough to choose from."
     CANDIDATES = "As many candidates had been tried as were allowed."
     NONE_LEFT = "All training structures had been tried."
+    DRAWN = "It was drawn by hand."
     TIME = "The time that was allowed was up."
 
 

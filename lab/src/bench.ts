@@ -1,0 +1,382 @@
+/** The bench: a drawing, what it inflates to, and everything that can be changed about it. */
+
+import type { Descriptors } from "./descriptors.ts";
+import { button, choice, make, quiet, save, slider } from "./dom.ts";
+import { Drawing } from "./drawing.ts";
+import { ELEMENTS, type Element } from "./equilibrium.ts";
+import type { InflateOptions } from "./inflation.ts";
+import { EDGES, type Edge, type Image, type LabelOptions } from "./labels.ts";
+import type { Remote } from "./remote.ts";
+import {
+  DEFAULTS,
+  fromFragment,
+  fromJson,
+  fromPicture,
+  type Settings,
+  toFragment,
+  toJson,
+  toPng,
+  toSvg,
+} from "./share.ts";
+import { type Simulation, sentence } from "./simulate.ts";
+import starts from "./starts.json";
+import { draw, frameOf, legend, QUANTITIES, type Quantity } from "./view.ts";
+import { Refusal } from "./words.ts";
+
+const STEP_TIME = 180; // milliseconds that a load step is shown
+const PICTURE = 560; // canvas pixels of a picture's side
+const ELEMENT_WORDS: Record<Element, string> = { "mean-dilatation": "mean dilatation", q1: "plain Q1, which locks" };
+
+export class Bench {
+  readonly element: HTMLElement;
+  readonly drawing: Drawing;
+  settings: Settings = { ...DEFAULTS };
+  simulation: Simulation | null = null;
+  /** Called with what came out of every drawing, null where nothing did. */
+  onSimulated: (simulation: Simulation | null) => void = () => {};
+
+  private readonly views: HTMLCanvasElement[];
+  private readonly legend = legend();
+  private readonly status: HTMLElement = make("p", { class: "lab-status", role: "status", "aria-live": "polite" });
+  private readonly numbers: HTMLElement = make("div", { class: "lab-numbers" });
+  private readonly load;
+  private readonly play: HTMLButtonElement;
+  private readonly quantity;
+  private readonly controls: ((settings: Settings) => void)[] = [];
+  private timer = 0;
+  private step = Number.POSITIVE_INFINITY; // the last one, whichever that is
+  private running = false;
+  private again = false;
+
+  constructor(
+    private readonly solver: Remote,
+    private readonly small: boolean,
+  ) {
+    this.drawing = new Drawing(() => this.run());
+    const view = () => make("canvas", { width: PICTURE, height: PICTURE, class: "lab-view", role: "img" });
+    this.views = [view(), view()];
+    this.load = slider(
+      "Load step",
+      [0, 10, 1],
+      10,
+      (value) => this.stepWords(value),
+      (value) => this.go(value),
+    );
+    this.play = button("Inflate", () => (this.timer ? this.stop() : this.start()));
+    const quantities = Object.entries(QUANTITIES).map(([name, { words }]) => [name, words] as [string, string]);
+    this.quantity = choice("Colour", quantities, () => this.show());
+    const figure = (canvas: HTMLElement, words: string) => make("figure", {}, canvas, make("figcaption", {}, words));
+    const result = make(
+      "div",
+      { class: "lab-result" },
+      make("div", { class: "lab-views" }, figure(this.views[0], "at rest"), figure(this.views[1], "inflated")),
+      this.legend.element,
+      make("div", { class: "lab-motion" }, this.load.row, this.play, this.quantity.row),
+      this.status,
+      this.numbers,
+    );
+    const left = make("div", { class: "lab-left" }, this.startFrom(), this.drawing.element);
+    this.element = make("div", { class: "lab-bench" }, left, result);
+    if (!small) this.element.append(make("div", { class: "lab-more" }, this.settingsPanel(), this.takeAlong()));
+    this.acceptFiles();
+  }
+
+  get options(): LabelOptions & InflateOptions {
+    const { pressure, lambda, mu, wall, clamped, element } = this.settings;
+    return { pressure, lame: [lambda, mu], wall, clamped, element };
+  }
+
+  /** Begin with what the page's address says, or with a seven. */
+  open(): void {
+    try {
+      const told = this.small ? null : fromFragment(location.hash);
+      if (told) this.take(told.image, told.settings);
+      else this.take(start(starts[0].image));
+    } catch (error) {
+      this.take(start(starts[0].image));
+      this.tell(error);
+    }
+  }
+
+  /** Replace drawing and settings. */
+  take(image: Image, settings: Settings = this.settings): void {
+    this.settings = { ...settings };
+    for (const follow of this.controls) follow(this.settings);
+    this.drawing.set(image);
+  }
+
+  /** An error as a sentence on the page. */
+  tell(error: unknown): void {
+    if (!(error instanceof Refusal)) console.error(error);
+    this.status.textContent = sentence((error as Error).message);
+  }
+
+  /** Simulate the drawing. While that is going on, only the last of further strokes is kept. */
+  private async run(): Promise<void> {
+    this.again = true;
+    if (this.running) return;
+    this.running = true;
+    while (this.again) {
+      this.again = false;
+      try {
+        const found = await this.solver.call<Simulation | string>("simulate", [this.drawing.image, this.options]);
+        this.receive(found);
+      } catch (error) {
+        this.tell(error);
+      }
+    }
+    this.running = false;
+  }
+
+  private receive(found: Simulation | string): void {
+    const atEnd = this.step >= Number(this.load.input.max);
+    this.simulation = typeof found === "string" ? null : found;
+    this.element.classList.toggle("lab-empty", !this.simulation);
+    if (typeof found === "string") {
+      this.stop();
+      this.status.textContent = `Nothing can be inflated. ${found}`;
+      this.numbers.replaceChildren();
+    } else {
+      this.load.input.max = String(found.reached);
+      if (atEnd || this.step > found.reached) this.step = found.reached;
+      this.load.value = this.step;
+      const note = found.note ? ` ${sentence(found.note)}` : "";
+      const verdict = found.flaw ? `It cannot be built. ${found.flaw}` : "It can be built.";
+      this.status.textContent = `${verdict}${note}`;
+      this.numbers.replaceChildren(...(found.descriptors ? numbers(found.descriptors, found.result.lame[1]) : []));
+    }
+    this.show();
+    this.onSimulated(this.simulation);
+  }
+
+  private show(): void {
+    const { simulation } = this;
+    const quantity = this.quantity.value as Quantity;
+    if (!simulation) {
+      for (const canvas of this.views) {
+        canvas.getContext("2d")?.clearRect(0, 0, PICTURE, PICTURE);
+        canvas.setAttribute("aria-label", "nothing to show");
+      }
+      return;
+    }
+    draw(this.views[0], simulation, 0, quantity);
+    draw(this.views[1], simulation, this.step, quantity);
+    this.legend.tell(simulation, quantity);
+    const { left, right, bottom, top } = frameOf(simulation);
+    const size = simulation.descriptors
+      ? `${simulation.descriptors.height.toFixed(3)} high and ${simulation.descriptors.width.toFixed(3)} wide when inflated`
+      : `at most ${(top - bottom).toFixed(3)} high and ${(right - left).toFixed(3)} wide`;
+    this.views[0].setAttribute(
+      "aria-label",
+      `The structure at rest, of ${simulation.result.mesh.cells.length / 4} wall pixels`,
+    );
+    this.views[1].setAttribute(
+      "aria-label",
+      `The structure at load step ${this.step}: ${size}. ${this.status.textContent}`,
+    );
+  }
+
+  private stepWords(step: number): string {
+    return step === 0 ? "at rest" : `${step} of ${this.simulation?.result.pressures.length ?? 10}`;
+  }
+
+  private go(step: number): void {
+    this.stop();
+    this.step = step;
+    this.show();
+  }
+
+  private start(): void {
+    const last = this.simulation?.reached ?? 0;
+    if (quiet() || !last) {
+      this.load.value = last;
+      this.go(last);
+      return;
+    }
+    this.step = -1;
+    this.play.textContent = "Stop";
+    const next = () => {
+      this.step++;
+      this.load.value = this.step;
+      this.show();
+      if (this.step >= (this.simulation?.reached ?? 0)) this.stop();
+    };
+    this.timer = window.setInterval(next, STEP_TIME);
+    next();
+  }
+
+  private stop(): void {
+    window.clearInterval(this.timer);
+    this.timer = 0;
+    this.play.textContent = "Inflate";
+  }
+
+  private startFrom(): HTMLElement {
+    const options = starts.map(({ name }, k) => [String(k), name] as [string, string]);
+    const chosen = choice("Start from", [["", "…"], ...options, ["empty", "nothing"]], (value) => {
+      if (value === "") return;
+      this.take(value === "empty" ? start("") : start(starts[Number(value)].image));
+      chosen.value = "";
+    });
+    return chosen.row;
+  }
+
+  private settingsPanel(): HTMLElement {
+    type Numeric = "pressure" | "lambda" | "mu" | "wall";
+    const change = (changes: Partial<Settings>) => {
+      Object.assign(this.settings, changes);
+      this.run();
+    };
+    const number = (name: Numeric, words: string, range: [number, number, number], digits: number) => {
+      const control = slider(
+        words,
+        range,
+        this.settings[name],
+        (v) => v.toFixed(digits),
+        (v) => change({ [name]: v }),
+      );
+      this.controls.push((settings) => {
+        control.value = settings[name];
+      });
+      return control.row;
+    };
+    const list = <T extends string>(name: "clamped" | "element", words: string, options: [T, string][]) => {
+      const control = choice(words, options, (value) => change({ [name]: value }));
+      this.controls.push((settings) => {
+        control.value = settings[name];
+      });
+      return control.row;
+    };
+    return make(
+      "details",
+      { class: "lab-settings" },
+      make("summary", {}, "Pressure, material, wall, clamped edge, element"),
+      number("pressure", "Pressure", [0, 0.03, 0.0005], 4),
+      number("lambda", "Lamé λ", [1, 40, 0.01], 2),
+      number("mu", "Lamé μ", [0.05, 0.5, 0.0001], 4),
+      number("wall", "Wall (pixels)", [1, 4, 1], 0),
+      list(
+        "clamped",
+        "Clamped edge",
+        EDGES.map((edge): [Edge, string] => [edge, edge]),
+      ),
+      list(
+        "element",
+        "Element",
+        ELEMENTS.map((one): [Element, string] => [one, ELEMENT_WORDS[one]]),
+      ),
+      button("The paper's values", () => this.take(this.drawing.image.slice(), DEFAULTS)),
+    );
+  }
+
+  private takeAlong(): HTMLElement {
+    const withLabel = (act: (simulation: Simulation) => void | Promise<void>) => async () => {
+      try {
+        if (!this.simulation) throw new Refusal("there is no structure to take along");
+        await act(this.simulation);
+      } catch (error) {
+        this.tell(error);
+      }
+    };
+    const link = () => {
+      history.replaceState(null, "", toFragment(this.drawing.image, this.settings));
+      const copied = navigator.clipboard?.writeText(location.href);
+      const done = (words: string) => {
+        this.status.textContent = words;
+      };
+      const itself = "The page's address is now the link to this structure";
+      if (copied)
+        copied.then(
+          () => done(`${itself}, and it is copied.`),
+          () => done(`${itself}.`),
+        );
+      else done(`${itself}.`);
+    };
+    const file: HTMLInputElement = make("input", {
+      type: "file",
+      accept: ".json,image/*",
+      class: "lab-hidden",
+      tabindex: -1,
+    });
+    file.addEventListener("change", () => {
+      if (file.files?.[0]) this.read(file.files[0]);
+      file.value = "";
+    });
+    return make(
+      "div",
+      { class: "lab-buttons lab-along" },
+      make("span", {}, "Take along:"),
+      button(
+        "PNG",
+        withLabel(async ({ label }) => save("structure.png", await toPng(label))),
+      ),
+      button(
+        "SVG (mm)",
+        withLabel(({ label }) => save("outline.svg", text("image/svg+xml", toSvg(label, this.settings.clamped)))),
+      ),
+      button("JSON", () =>
+        save("structure.json", text("application/json", toJson(this.drawing.image, this.settings, this.targets))),
+      ),
+      button("Link", link),
+      button("Open a file …", () => file.click()),
+      file,
+    );
+  }
+
+  /** What the structure is asked for, where something is. */
+  targets = {};
+
+  private async read(file: File): Promise<void> {
+    try {
+      if (file.size > 20e6) throw new Refusal("the file is larger than 20 MB");
+      if (file.type === "application/json" || file.name.endsWith(".json")) {
+        const { image, settings } = fromJson(await file.text());
+        this.take(image, settings);
+      } else {
+        this.take(await fromPicture(file));
+      }
+    } catch (error) {
+      this.tell(error);
+    }
+  }
+
+  private acceptFiles(): void {
+    this.element.addEventListener("dragover", (event) => event.preventDefault());
+    this.element.addEventListener("drop", (event) => {
+      event.preventDefault();
+      const file = event.dataTransfer?.files[0];
+      if (file) this.read(file);
+    });
+  }
+}
+
+const text = (type: string, content: string) => new Blob([content], { type });
+
+/** A structure to start from; an empty text is an empty drawing. */
+function start(packed: string): Image {
+  const told = fromFragment(`lab=${packed || "A".repeat(131)}`);
+  return told ? told.image : new Float64Array(784);
+}
+
+/** Descriptors as a list of names and numbers, and the medial axis as a small curve. */
+function numbers(found: Descriptors, mu: number): HTMLElement[] {
+  const rows: [string, string][] = [
+    ["height h", found.height.toFixed(3)],
+    ["width w", found.width.toFixed(3)],
+    ["hull area A", found.area.toFixed(3)],
+    ["peak stress σ/μ", (found.stress / mu).toFixed(2)],
+    ["peak stretch", found.stretch.toFixed(3)],
+  ];
+  const sideways = found.axis.map(([x]) => x);
+  const reach = Math.max(0.05, ...sideways.map(Math.abs));
+  const path = found.axis.map(([x, y]) => `${x},${found.height - y}`).join(" ");
+  const words = `Medial axis: it ends ${sideways[sideways.length - 1].toFixed(3)} to the right of where it begins`;
+  const axis = make(
+    "svg",
+    { viewBox: `${-reach - 0.05} -0.05 ${2 * reach + 0.1} ${found.height + 0.1}`, role: "img", class: "lab-axis" },
+    make("title", {}, words),
+    make("polyline", { points: path, fill: "none" }),
+  );
+  const terms = rows.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]);
+  return [make("dl", {}, ...terms), make("figure", {}, axis, make("figcaption", {}, "medial axis"))];
+}

@@ -1,0 +1,96 @@
+/**
+ * Brings the laboratories of a page to life: every element of the class `inflate-lab`, a small one on the first page.
+ *
+ * `window.inflateLab` offers the same to a console and to tests, as promises.
+ */
+
+import { Refusal } from "./words.ts";
+import solverSource from "worker:solver_worker.ts";
+import type { DrawOptions } from "./ask.ts";
+import { AskPanel } from "./ask_panel.ts";
+import { Bench } from "./bench.ts";
+import type { Descriptors, Targets } from "./descriptors.ts";
+import { make } from "./dom.ts";
+import type { InflateOptions, Inflation } from "./inflation.ts";
+import css from "./lab.css";
+import type { Image, LabelOptions } from "./labels.ts";
+import type { StoredModel } from "./model.ts";
+import { Remote } from "./remote.ts";
+
+const here = (document.currentScript as HTMLScriptElement | null)?.src ?? "";
+const solver = new Remote(() => solverSource);
+
+/** Load a script that lies beside this one: it sets a variable, for a page on a disk can fetch nothing. */
+function script(name: string): Promise<void> {
+  return new Promise((resolve, reject) => {
+    const element: HTMLScriptElement = make("script", { src: new URL(name, here).href });
+    element.addEventListener("load", () => resolve());
+    element.addEventListener("error", () => reject(new Refusal(`the file ${name} of this page is missing`)));
+    document.head.append(element);
+  });
+}
+
+declare global {
+  interface Window {
+    inflateNetwork: string;
+    inflateModel: StoredModel;
+  }
+}
+let scripts: Promise<unknown> | null = null;
+const drawer = new Remote(
+  () => window.inflateNetwork,
+  () => [["load", [window.inflateModel]]],
+);
+
+/** The worker with the network, and the model; both are loaded when something is asked for the first time. */
+async function network() {
+  scripts ??= Promise.all([script("laboratory_network.js"), script("laboratory_model.js")]);
+  await scripts;
+  return { remote: drawer, model: window.inflateModel };
+}
+
+const inflateLab = {
+  /** Label image of a picture: 28 rows of 28 numbers in [0, 1], or an array of all 784. */
+  label: (image: unknown, options: LabelOptions = {}) => solver.call<Image>("label", [image, options]),
+  /** Inflate a label image; `result.converged` says whether every load step has an equilibrium. */
+  inflate: (label: unknown, options: InflateOptions = {}) => solver.call<Inflation>("inflate", [label, options]),
+  /** Descriptors of an inflated structure at a load step, the last one by default. */
+  describe: (result: Inflation, step?: number) =>
+    solver.call<Descriptors>("describe", step === undefined ? [result] : [result, step]),
+  /** Images (784 numbers in [0, 1] each) that are drawn to inflate to targets. */
+  draw: async (targets: Targets, options: DrawOptions = {}) =>
+    (await network()).remote.call<Float64Array[]>("draw", [targets, options]),
+};
+
+declare global {
+  interface Window {
+    inflateLab: typeof inflateLab;
+  }
+}
+window.inflateLab = inflateLab;
+
+function mount(root: HTMLElement): void {
+  if (typeof Worker === "undefined" || typeof Blob === "undefined") {
+    root.append(
+      make("p", {}, "This browser runs no workers, which the laboratory needs; the stored explorer works without."),
+    );
+    return;
+  }
+  const small = root.dataset.small !== undefined;
+  const bench = new Bench(solver, small);
+  root.append(bench.element);
+  bench.open();
+  if (small) return;
+  root.append(new AskPanel(bench, network, solver).element);
+  window.addEventListener("hashchange", () => bench.open());
+}
+
+function start(): void {
+  const roots = document.querySelectorAll<HTMLElement>(".inflate-lab");
+  if (!roots.length) return;
+  document.head.append(make("style", {}, css));
+  roots.forEach(mount);
+}
+
+if (document.readyState === "loading") document.addEventListener("DOMContentLoaded", start);
+else start();

@@ -1,0 +1,37 @@
+"""The page's copy of the joint model is that of the committed weights."""
+
+import json
+import math
+
+import pytest
+
+from inflate_lib.models import browser, load_model
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model("joint").made_for("quick")
+
+
+def test_the_page_has_the_committed_weights(model):
+    assert browser.fingerprint() == model.trained.fingerprint, "run `inflate export`"
+
+
+def test_a_script_says_all_that_the_page_needs(model, tmp_path):
+    file = browser.export(model, "laptop", tmp_path / "model.js")
+    told = json.loads(file.read_text().removeprefix("window.inflateModel = ").removesuffix(";\n"))
+    assert browser.fingerprint(file) == told["fingerprint"] == model.trained.fingerprint
+    assert sum(part["length"] for part in told["parts"]) == len(told["conditionMin"])
+    assert told["sampling"] == dict(model.sampling)
+    assert told["reach"]["structures"] == model.reach.sizes["structure"]
+    last = told["tensors"][-1]
+    assert last["at"] + math.prod(last["shape"]) == model.trained.net.n_parameters
+    browser.export(model, "laptop", file)  # its own file may be replaced
+
+
+def test_a_foreign_file_stays(model, tmp_path):
+    file = tmp_path / "model.js"
+    file.write_text("window.mine = 1;\n")
+    with pytest.raises(OSError, match="model.js"):
+        browser.export(model, "laptop", file)
+    assert file.read_text() == "window.mine = 1;\n"
