@@ -10,6 +10,7 @@ interface Waiting {
 
 export class Remote {
   private worker: Worker | null = null;
+  private ready: Promise<Worker> | null = null;
   private waiting = new Map<number, Waiting>();
   private count = 0;
 
@@ -21,8 +22,8 @@ export class Remote {
 
   /** Ask the worker for something; `watch` hears of its progress. */
   async call<T>(name: string, args: unknown[], watch?: (progress: never) => void): Promise<T> {
-    const worker = this.worker ?? (await this.start());
-    return this.ask<T>(worker, name, args, watch);
+    this.ready ??= this.start(); // calls that arrive meanwhile wait for the same start
+    return this.ask<T>(await this.ready, name, args, watch);
   }
 
   private ask<T>(worker: Worker, name: string, args: unknown[], watch?: (progress: never) => void): Promise<T> {
@@ -45,7 +46,7 @@ export class Remote {
   /** End what is being computed; the next call starts a new worker. */
   stop(): void {
     this.worker?.terminate();
-    this.worker = null;
+    this.worker = this.ready = null;
     for (const { reject } of this.waiting.values()) reject(new Refusal("stopped"));
     this.waiting.clear();
   }
@@ -69,7 +70,12 @@ export class Remote {
       this.waiting.clear();
     });
     this.worker = worker;
-    await Promise.all(this.first().map(([name, args]) => this.ask(worker, name, args)));
+    try {
+      await Promise.all(this.first().map(([name, args]) => this.ask(worker, name, args)));
+    } catch (error) {
+      this.ready = null; // the next call tries again
+      throw error;
+    }
     return worker;
   }
 }
