@@ -59,7 +59,7 @@ def junk(rng, kind):
 def pictures():
     """Sevens, sevens with strokes drawn into them, and junk; (200, 28, 28)."""
     rng = np.random.default_rng(0)
-    sevens = load_sevens("digits", limit=100).images.astype(float)
+    sevens = load_sevens("digits", limit=100).images / 255
     drawn = sevens[:40].copy()
     for image in drawn:
         row, column = rng.integers(4, 20, 2)
