@@ -18,6 +18,7 @@ def export(
     paths.need_checkout("inflate export")
     from inflate_lib.models import browser, load_model
 
-    model = load_model("joint", profile).made_for("quick")
+    model = load_model("joint", profile)
     file = browser.export(model, profile, out or browser.FILE)
-    print(f"{file}: {file.stat().st_size / 1e6:.2f} MB, weights {model.trained.fingerprint[:12]}")
+    told = browser.fingerprint(file) or ""
+    print(f"{file}: {file.stat().st_size / 1e6:.2f} MB, weights {told[:12]}")

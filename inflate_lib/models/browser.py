@@ -13,22 +13,25 @@ import numpy as np
 
 from inflate_lib import paths
 from inflate_lib._files import check_outputs, draft
-from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.descriptors import POINT_DISTANCE, descriptor_matrix, get_descriptor
 from inflate_lib.models.weights import Model
 
 FILE = paths.ROOT / "lab" / "built" / "laboratory_model.js"
 _HEAD = "window.inflateModel = "
+_WAYS = ("quick", "varied")  # purposes, all answered by the network of the first
 _NETWORK = ("channels", "embedding", "blocks", "conditioning", "objective", "T", "strongest")
 
 
 def model_script(model: Model, profile: str) -> str:
-    """The script of a model of several parts, such as the student of the joint one.
+    """The script of a model of several parts, the joint one, as it draws for designs: its student, where it has one.
 
     Raises
     ------
     ValueError
         Its network has what the laboratory's lacks, or it has no parts to ask for.
     """
+    ways = {purpose: model.made_for(purpose) for purpose in _WAYS}
+    model = ways["quick"]
     config = model.trained.config
     if config.attention or not config.parts:
         raise ValueError(f"the {model.name} model has {'attention' if config.attention else 'no parts'}")
@@ -47,10 +50,10 @@ def model_script(model: Model, profile: str) -> str:
         "parts": [{"name": name, "length": get_descriptor(name).length} for name in model.takes],
         "conditionMin": model.trained.condition_min.tolist(),
         "conditionMax": model.trained.condition_max.tolist(),
-        "sampling": dict(model.sampling),
-        "calibrations": {
-            "+".join(get_descriptor(name).parts): calibration.as_dict()
-            for name, calibration in model.calibrations.items()
+        "ways": {
+            purpose: {"sampling": dict(way.sampling), "calibrations": _calibrations(way)}
+            for purpose, way in ways.items()
+            if way.trained.fingerprint == model.trained.fingerprint
         },
         "tensors": tensors,
         "weights": base64.b64encode(b"".join(pieces)).decode(),
@@ -77,22 +80,26 @@ def fingerprint(file: Path = FILE) -> str | None:
     return found[1] if found else None
 
 
+def _calibrations(model):
+    return {
+        "+".join(get_descriptor(name).parts): calibration.as_dict() for name, calibration in model.calibrations.items()
+    }
+
+
 def _reach(model):
     """Descriptors of the structures, each component as 16-bit shares of the way from the least to the most.
 
-    The points of a line stand at equal increments of the height, so that what they reach sideways is enough.
+    The points of an axis stand at equal increments of the height, so that what they reach sideways is enough.
     """
     columns, pieces = [], []
     for name in model.takes:
         values = descriptor_matrix(model.reach, name)
-        if get_descriptor(name).is_line:
+        if get_descriptor(name).error is POINT_DISTANCE:
             values = values[:, ::2]
         least, most = values.min(axis=0), values.max(axis=0)
         shares = (values - least) / np.where(most > least, most - least, 1)
         pieces.append(np.rint(65535 * shares).astype("<u2").T.tobytes())
-        columns.append(
-            {"name": name, "length": values.shape[1], "least": least.tolist(), "most": most.tolist()}
-        )
+        columns.append({"name": name, "length": values.shape[1], "least": least.tolist(), "most": most.tolist()})
     return {
         "structures": model.reach.sizes["structure"],
         "columns": columns,

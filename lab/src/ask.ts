@@ -1,12 +1,12 @@
 /** Structures for targets, as `inflate_lib.models.weights.Model.draw` draws them; runs in the network's worker. */
 
-import type { DescriptorName, Targets } from "./descriptors.ts";
+import { type DescriptorName, NAMES, type Targets } from "./descriptors.ts";
 import { FRAME } from "./labels.ts";
-import { type StoredModel, told } from "./model.ts";
+import { type StoredModel, told, type Way } from "./model.ts";
 import type { Network } from "./network.ts";
 import { checkReach, readReach } from "./reach.ts";
 import { cosineSchedule, denoise, normals, type SamplingOptions } from "./sampling.ts";
-import { AXIS_POINTS } from "./shape.ts";
+import { AXIS_POINTS, DIRECTIONS, supportFunction } from "./shape.ts";
 import { Refusal } from "./words.ts";
 
 const PIXELS = FRAME * FRAME;
@@ -14,6 +14,7 @@ export const MOST = 16; // structures of one call
 
 export interface DrawOptions extends Partial<SamplingOptions> {
   n?: number; // structures
+  purpose?: string; // "quick", the default, or "varied"; other options of sampling have no calibration
   seed?: number;
   noise?: ArrayLike<number>[]; // standard normal images (n · 784), one for each state but the last, to take the seed's place
 }
@@ -26,9 +27,15 @@ export async function drawStructures(
   options: DrawOptions = {},
   watch: (states: Float64Array[]) => void = () => {},
 ): Promise<Float64Array[]> {
-  const { n = 1, seed = 0, noise, ...changes } = options;
-  const sampling = { ...model.sampling, ...changes };
-  if (!Number.isInteger(n) || n < 1 || n > MOST) throw new Refusal(`n must be a whole number from 1 to ${MOST}, not ${n}`);
+  const { n = 1, seed = 0, noise, purpose = "quick", ...changes } = options;
+  const way = Object.hasOwn(model.ways, purpose) ? model.ways[purpose] : null;
+  if (!way) throw new Refusal(`purpose must be one of ${Object.keys(model.ways).join(", ")}, not ${purpose}`);
+  const sampling: SamplingOptions = { ...way.sampling, ...changes };
+  const asTold = (Object.keys(changes) as (keyof SamplingOptions)[]).every(
+    (key) => sampling[key] === way.sampling[key],
+  );
+  if (!Number.isInteger(n) || n < 1 || n > MOST)
+    throw new Refusal(`n must be a whole number from 1 to ${MOST}, not ${n}`);
   if (!Number.isInteger(seed) || seed < 0) throw new Refusal(`seed must be a whole number of at least 0, not ${seed}`);
   const { strongest, T, objective } = model.config;
   if (!(sampling.guidance >= 1 && sampling.guidance <= strongest)) {
@@ -37,12 +44,13 @@ export async function drawStructures(
   if (!(sampling.eta >= 0 && sampling.eta <= 1)) throw new Refusal(`eta must be from 0 to 1, not ${sampling.eta}`);
   const checked = checkTargets(targets);
   checkReach(checked, readReach(model.reach));
-  const conditions = scaled(model, conditionsFor(model, checked));
+  const conditions = scaled(model, conditionsFor(model, checked, asTold ? way : null));
   const streams = Array.from({ length: n }, (_, row) => normals(seed, row));
   let state = 0;
   const next = () => {
     const given = noise?.[state++];
-    if (noise && given?.length !== n * PIXELS) throw new Refusal(`noise must be images of ${n * PIXELS} numbers, one for each step`);
+    if (noise && given?.length !== n * PIXELS)
+      throw new Refusal(`noise must be images of ${n * PIXELS} numbers, one for each step`);
     if (given) return Float32Array.from(given);
     const made = new Float32Array(n * PIXELS);
     streams.forEach((normal, row) => {
@@ -57,35 +65,63 @@ export async function drawStructures(
   let images: Float64Array[] = [];
   for await (const x of denoise(predict, cosineSchedule(T), next, objective, sampling)) {
     images = Array.from({ length: n }, (_, row) =>
-      Float64Array.from(x.subarray(row * PIXELS, (row + 1) * PIXELS), (value) => Math.min(Math.max((value + 1) / 2, 0), 1)),
+      Float64Array.from(x.subarray(row * PIXELS, (row + 1) * PIXELS), (value) =>
+        Math.min(Math.max((value + 1) / 2, 0), 1),
+      ),
     );
     watch(images);
   }
   return images;
 }
 
-/** Targets that are numbers, or an axis of thirty rising points from the origin. */
+/**
+ * Targets in the order in which the model takes them: numbers, an axis of thirty rising points from the origin, an
+ * outline as its support function or as the corners of a polygon. Anything else is a Refusal.
+ */
 export function checkTargets(targets: Targets): Targets {
   const entries = Object.entries(targets ?? {}).filter(([, value]) => value !== undefined && value !== null);
-  if (!entries.length) throw new Refusal("nothing is asked for: give height, width, area, stress, stretch or axis");
+  if (!entries.length) throw new Refusal(`nothing is asked for: give ${NAMES.join(", ")}, one at least`);
+  const found = Object.fromEntries(entries) as Targets;
   for (const [name, value] of entries) {
+    if (!NAMES.includes(name as DescriptorName))
+      throw new Refusal(`the model takes ${NAMES.join(", ")}, any of them, not '${name}'`);
     if (name === "axis") {
       const axis = value as number[][];
-      const points = Array.isArray(axis) && axis.length === AXIS_POINTS && axis.every((p) => p.length === 2 && p.every(Number.isFinite));
+      const points =
+        Array.isArray(axis) &&
+        axis.length === AXIS_POINTS &&
+        axis.every((p) => p.length === 2 && p.every(Number.isFinite));
       const rises = points && axis[0].every((x) => x === 0) && axis.every(([, y], k) => k === 0 || y > axis[k - 1][1]);
       if (!rises) throw new Refusal(`axis must be ${AXIS_POINTS} points that begin at the origin and rise`);
+    } else if (name === "outline") {
+      found.outline = asSupports(value);
     } else if (!(typeof value === "number" && Number.isFinite(value) && value > 0)) {
       throw new Refusal(`${name} must be a positive number, not ${value}`);
     }
   }
-  return Object.fromEntries(entries) as Targets;
+  return Object.fromEntries(NAMES.filter((name) => name in found).map((name) => [name, found[name]]));
+}
+
+/** The support function of an outline that is given as such, or by points (k, 2). */
+function asSupports(value: unknown): number[] {
+  const list = Array.isArray(value) ? (value as unknown[]) : [];
+  const finite = (one: unknown): one is number => typeof one === "number" && Number.isFinite(one);
+  const points = list.every((p) => Array.isArray(p) && p.length === 2 && p.every(finite)) ? (list as number[][]) : [];
+  const supports = points.length > 2 ? supportFunction(points) : (list as number[]);
+  const opposite = (k: number) => supports[(k + DIRECTIONS / 2) % DIRECTIONS];
+  if (supports.length !== DIRECTIONS || !supports.every((s, k) => finite(s) && s + opposite(k) > 0)) {
+    throw new Refusal(
+      `outline must be the corners of a polygon, or ${DIRECTIONS} numbers: how far the shape reaches in each direction`,
+    );
+  }
+  return supports;
 }
 
 /** What the network is told, calibrated where the combination is; NaN for what is not asked for. */
-function conditionsFor(model: StoredModel, targets: Targets): number[] {
+function conditionsFor(model: StoredModel, targets: Targets, way: Way | null): number[] {
   const parts = model.parts.filter(({ name }) => name in targets);
-  const wanted = parts.flatMap(({ name }) => [targets[name as DescriptorName] as number | number[][]].flat(2));
-  const calibration = model.calibrations[parts.map(({ name }) => name).join("+")];
+  const wanted = parts.flatMap(({ name }) => [targets[name as DescriptorName] ?? []].flat(2));
+  const calibration = way?.calibrations[parts.map(({ name }) => name).join("+")];
   const given = calibration ? told(calibration, wanted) : wanted;
   let at = 0;
   return model.parts.flatMap(({ name, length }) => {
@@ -101,4 +137,3 @@ function scaled(model: StoredModel, conditions: number[]): number[] {
     return (value - model.conditionMin[k]) / (extent > 0 ? extent : 1);
   });
 }
-

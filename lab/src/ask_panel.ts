@@ -2,14 +2,14 @@
 
 import type { Bench } from "./bench.ts";
 import { axisHeight, type DescriptorName, describeNodes, largestMiss, type Targets } from "./descriptors.ts";
-import { button, make, type Slider, slider } from "./dom.ts";
-import { FRAME, type Image, VOID } from "./labels.ts";
+import { button, type Choice, choice, make, type Slider, slider } from "./dom.ts";
 import { MU } from "./inflation.ts";
+import { FRAME, type Image, VOID } from "./labels.ts";
 import type { StoredModel } from "./model.ts";
 import type { Try } from "./refine.ts";
 import type { Remote } from "./remote.ts";
-import { across, AXIS_POINTS } from "./shape.ts";
-import { sentence, type Simulation } from "./simulate.ts";
+import { AXIS_POINTS, across, outlineCorners } from "./shape.ts";
+import { type Simulation, sentence } from "./simulate.ts";
 import { draw } from "./view.ts";
 import { Refusal } from "./words.ts";
 
@@ -28,10 +28,12 @@ export class AskPanel {
   readonly element: HTMLElement;
   private readonly fields = new Map<DescriptorName, { wanted: HTMLInputElement; value: HTMLInputElement }>();
   private readonly axis = new AxisField();
+  private readonly outline = new OutlineField();
   private readonly status: HTMLElement = make("p", { class: "lab-status", role: "status", "aria-live": "polite" });
   private readonly gallery: HTMLElement = make("div", { class: "lab-gallery" });
   private readonly go: HTMLButtonElement;
   private readonly refining: HTMLButtonElement;
+  private readonly purpose: Choice;
   private readonly guidance: Slider;
   private readonly steps: Slider;
   private readonly number: Slider;
@@ -44,7 +46,13 @@ export class AskPanel {
   ) {
     const rows = NUMBERS.map(([name, words, start]) => {
       const wanted: HTMLInputElement = make("input", { type: "checkbox", checked: name === "height" });
-      const value: HTMLInputElement = make("input", { type: "number", step: 0.01, min: 0, value: start, "aria-label": `${words}: value` });
+      const value: HTMLInputElement = make("input", {
+        type: "number",
+        step: 0.01,
+        min: 0,
+        value: start,
+        "aria-label": `${words}: value`,
+      });
       value.addEventListener("input", () => {
         wanted.checked = true;
         this.tellTargets();
@@ -55,19 +63,37 @@ export class AskPanel {
     });
     this.axis.changed = () => this.tellTargets();
     const none = () => {};
-    this.guidance = slider("Guidance", [1, 10, 0.5], 8, (v) => v.toFixed(1), none);
-    this.steps = slider("Steps", [2, 25, 1], 5, String, none);
+    const ways: [string, string][] = [
+      ["quick", "quick"],
+      ["varied", "varied"],
+      ["", "as below"],
+    ];
+    this.purpose = choice("Sampling", ways, () => this.takeWay());
+    const own = () => {
+      this.purpose.value = "";
+    };
+    this.guidance = slider("Guidance", [1, 10, 0.5], 8, (v) => v.toFixed(1), own);
+    this.steps = slider("Steps", [2, 25, 1], 5, String, own);
     this.number = slider("Structures", [1, 8, 1], 4, String, none);
     this.seed = make("input", { type: "number", min: 0, step: 1, value: 0 });
     this.go = button("Draw structures", () => (this.stopping ? this.stop() : this.ask()));
     this.refining = button("Refine the drawing", () => this.refine());
-    const outline = new OutlineField((points) => this.takeOutline(points));
+    this.outline.changed = () => this.tellTargets();
+    this.outline.drawn = (points) => this.takeOutline(points);
     this.element = make(
       "section",
       { class: "lab-ask", "aria-label": "Ask for a structure" },
       make("p", { class: "lab-title" }, "Ask for a structure"),
-      make("div", { class: "lab-targets" }, make("div", {}, ...rows), this.axis.element, outline.element),
-      make("div", { class: "lab-options" }, this.guidance.row, this.steps.row, this.number.row, make("label", {}, "Seed ", this.seed)),
+      make("div", { class: "lab-targets" }, make("div", {}, ...rows), this.axis.element, this.outline.element),
+      make(
+        "div",
+        { class: "lab-options" },
+        this.purpose.row,
+        this.guidance.row,
+        this.steps.row,
+        this.number.row,
+        make("label", {}, "Seed ", this.seed),
+      ),
       make("div", { class: "lab-buttons" }, this.go, this.refining),
       this.status,
       this.gallery,
@@ -83,7 +109,8 @@ export class AskPanel {
       const field = this.fields.get(name);
       if (field?.wanted.checked) targets[name] = Number(field.value.value) * factor;
     }
-    if (this.axis.wanted) targets.axis = this.axis.points();
+    if (this.axis.box.checked) targets.axis = this.axis.points();
+    if (this.outline.box.checked && this.outline.supports) targets.outline = this.outline.supports;
     return targets;
   }
 
@@ -91,25 +118,41 @@ export class AskPanel {
     this.bench.targets = this.targets();
   }
 
+  /** The sliders follow the way in which the model is asked. */
+  private async takeWay(): Promise<void> {
+    try {
+      const way = (await this.network()).model.ways[this.purpose.value];
+      if (!way) return;
+      this.guidance.value = way.sampling.guidance;
+      this.steps.value = way.sampling.steps;
+    } catch (error) {
+      this.tell(error);
+    }
+  }
+
   private async ask(): Promise<void> {
     this.busy(true);
     try {
       this.status.textContent = "The network is being loaded.";
-      const { remote, model } = await this.network();
+      const { remote } = await this.network();
       const targets = this.targets();
       const n = this.number.value;
       const canvases = Array.from({ length: n }, () => make("canvas", { width: FRAME, height: FRAME, role: "img" }));
-      const figures = canvases.map((canvas, k) => make("figure", {}, canvas, make("figcaption", {}, `structure ${k + 1}`)));
+      const figures = canvases.map((canvas, k) =>
+        make("figure", {}, canvas, make("figcaption", {}, `structure ${k + 1}`)),
+      );
       let state = 0;
       const watch = (states: Float64Array[]) => {
         if (state === 0) this.gallery.replaceChildren(...figures);
         states.forEach((image, k) => {
           paint(canvases[k], image);
         });
-        this.status.textContent = `Noise turns into structures: step ${state} of ${this.steps.value}.`;
+        this.status.textContent = `Noise turns into structures: step ${state} of ${own.steps}.`;
         state++;
       };
-      const options = { n, seed: Number(this.seed.value), steps: this.steps.value, guidance: Math.min(this.guidance.value, model.config.strongest) };
+      const own = { steps: this.steps.value, guidance: this.guidance.value };
+      const purpose = this.purpose.value;
+      const options = { n, seed: Number(this.seed.value), ...(purpose ? { purpose } : own) };
       const images = await remote.call<Float64Array[]>("draw", [targets, options], watch);
       const judged = [];
       for (const [k, image] of images.entries()) {
@@ -145,8 +188,13 @@ export class AskPanel {
       }
     }
     canvas.setAttribute("aria-label", `An inflated structure: ${words}`);
-    const cavity = typeof found === "string" ? image.map((v) => Number(v > 0.5)) : found.label.map((v) => Number(v === VOID));
-    caption.replaceChildren(words, make("br"), button("Take it to the drawing", () => this.bench.take(cavity)));
+    const cavity =
+      typeof found === "string" ? image.map((v) => Number(v > 0.5)) : found.label.map((v) => Number(v === VOID));
+    caption.replaceChildren(
+      words,
+      make("br"),
+      button("Take it to the drawing", () => this.bench.take(cavity)),
+    );
     return { figure, miss };
   }
 
@@ -165,7 +213,11 @@ export class AskPanel {
         this.status.textContent = `Try ${progress.tried} of ${TRIES}: the largest miss is ${percent(progress.miss)}.`;
       };
       if (!bench.simulation) throw new Refusal("there is no structure to refine");
-      const found = await this.solver.call<Try>("refine", [bench.simulation.label, targets, bench.options, 0.002, TRIES], watch);
+      const found = await this.solver.call<Try>(
+        "refine",
+        [bench.simulation.label, targets, bench.options, 0.002, TRIES],
+        watch,
+      );
       if (found.flipped.length) bench.take(cavityOf(found.label));
       bench.drawing.mark(found.flipped);
       const pixels = found.flipped.map((k) => `row ${Math.floor(k / FRAME) + 1}, column ${(k % FRAME) + 1}`).join("; ");
@@ -193,19 +245,21 @@ export class AskPanel {
     this.status.textContent = sentence((error as Error).message);
   }
 
-  /** An outline stands for its height, width, hull area and medial axis, as in the library's designs. */
+  /** An outline says what height, width, area and axis are, so these are asked for no longer. */
   private takeOutline(points: number[][]): void {
     try {
-      const found = describeNodes(Float64Array.from(points.flat()));
-      for (const name of ["height", "width", "area"] as const) {
-        const field = this.fields.get(name);
+      const { height, width, area, axis, outline } = describeNodes(Float64Array.from(points.flat()));
+      for (const [name, value] of Object.entries({ height, width, area })) {
+        const field = this.fields.get(name as DescriptorName);
         if (!field) continue;
-        field.wanted.checked = true;
-        field.value.value = found[name].toFixed(3);
+        field.wanted.checked = false;
+        field.value.value = value.toFixed(3);
       }
-      this.axis.set(found.axis);
+      this.axis.set(axis);
+      this.axis.box.checked = false;
+      this.outline.set(outline);
       this.tellTargets();
-      this.status.textContent = `The outline is ${found.height.toFixed(3)} high and ${found.width.toFixed(3)} wide, its hull area is ${found.area.toFixed(3)}.`;
+      this.status.textContent = `The outline is ${height.toFixed(3)} high and ${width.toFixed(3)} wide, its hull area is ${area.toFixed(3)}.`;
     } catch (error) {
       this.tell(error);
     }
@@ -225,7 +279,7 @@ function paint(canvas: HTMLCanvasElement, image: ArrayLike<number>): void {
 class AxisField {
   readonly element: HTMLElement;
   changed: () => void = () => {};
-  private readonly box: HTMLInputElement = make("input", { type: "checkbox" });
+  readonly box: HTMLInputElement = make("input", { type: "checkbox" });
   private readonly curve = make("polyline", { fill: "none" });
   private readonly handles;
   private readonly sliders: Slider[];
@@ -241,12 +295,15 @@ class AxisField {
     const words = ["at a quarter", "at half", "at three quarters", "at the top"];
     this.sliders = words.map((text) => slider(`sideways ${text}`, [-0.5, 0.5, 0.01], 0, (v) => v.toFixed(2), moved));
     this.handles = HEIGHTS.map(() => make("circle", { r: 0.04 }));
-    const pad = make("svg", { viewBox: "-0.6 -1.55 1.2 1.65", class: "lab-pad", "aria-hidden": "true" }, this.curve, ...this.handles);
+    const pad = make(
+      "svg",
+      { viewBox: PAD, class: "lab-pad", "aria-hidden": "true" },
+      make("line", GROUND),
+      this.curve,
+      ...this.handles,
+    );
     let held = -1;
-    const place = (event: PointerEvent) => {
-      const box = pad.getBoundingClientRect();
-      return [((event.clientX - box.left) / box.width) * 1.2 - 0.6, 1.55 - ((event.clientY - box.top) / box.height) * 1.65];
-    };
+    const place = (event: PointerEvent) => placeOn(pad, event);
     pad.addEventListener("pointerdown", (event: PointerEvent) => {
       pad.setPointerCapture(event.pointerId);
       const [, y] = place(event);
@@ -266,20 +323,25 @@ class AxisField {
       });
     }
     this.box.addEventListener("change", () => this.changed());
-    const numbers = make("details", {}, make("summary", {}, "by sliders"), this.height.row, ...this.sliders.map((one) => one.row));
+    const numbers = make(
+      "details",
+      {},
+      make("summary", {}, "by sliders"),
+      this.height.row,
+      ...this.sliders.map((one) => one.row),
+    );
     this.element = make("div", {}, make("label", {}, this.box, " Medial axis (drag the dots)"), pad, numbers);
     this.show();
-  }
-
-  get wanted(): boolean {
-    return this.box.checked;
   }
 
   /** (30, 2) points of the axis: a curve through the handles, at equal increments of height. */
   points(): number[][] {
     const corners = [[0, 0], ...HEIGHTS.map((share, k) => [this.sliders[k].value, share])];
     const height = this.height.value;
-    return Array.from({ length: AXIS_POINTS }, (_, k) => [smooth(corners, k / AXIS_POINTS), (height * k) / AXIS_POINTS]);
+    return Array.from({ length: AXIS_POINTS }, (_, k) => [
+      smooth(corners, k / AXIS_POINTS),
+      (height * k) / AXIS_POINTS,
+    ]);
   }
 
   /** Follow a measured axis. */
@@ -289,18 +351,31 @@ class AxisField {
     HEIGHTS.forEach((share, k) => {
       this.sliders[k].value = across(axis, Math.min(share * height, axis[AXIS_POINTS - 1][1]));
     });
-    this.box.checked = true;
     this.show();
   }
 
   private show(): void {
     const height = this.height.value;
-    this.curve.setAttribute("points", this.points().map(([x, y]) => `${x},${-y}`).join(" "));
+    this.curve.setAttribute(
+      "points",
+      this.points()
+        .map(([x, y]) => `${x},${-y}`)
+        .join(" "),
+    );
     this.handles.forEach((handle, k) => {
       handle.setAttribute("cx", this.sliders[k].value);
       handle.setAttribute("cy", -HEIGHTS[k] * height);
     });
   }
+}
+
+const PAD = "-0.75 -1.55 1.5 1.65";
+const GROUND = { x1: -0.75, x2: 0.75, y1: 0, y2: 0, class: "lab-ground" };
+
+/** Where on a pad the pointer is: x from its middle, y above the ground. */
+function placeOn(pad: SVGGraphicsElement, event: PointerEvent): number[] {
+  const { a, d, e, f } = pad.getScreenCTM() as DOMMatrix;
+  return [(event.clientX - e) / a, (f - event.clientY) / d];
 }
 
 /** x of the polynomial through points (x, y), at y (Lagrange). */
@@ -311,30 +386,48 @@ function smooth(points: number[][], y: number): number {
   }, 0);
 }
 
-/** The inflated shape, drawn by hand as one closed line. */
+/** The inflated shape, drawn by hand as one closed line; its convex hull, standing on the ground, is asked for. */
 class OutlineField {
   readonly element: HTMLElement;
+  readonly box: HTMLInputElement = make("input", { type: "checkbox", disabled: true });
+  supports: number[] | null = null;
+  changed: () => void = () => {};
+  drawn: (points: number[][]) => void = () => {};
+  private readonly line = make("polyline", {});
 
-  constructor(done: (points: number[][]) => void) {
-    const line = make("polyline", {});
-    const pad = make("svg", { viewBox: "-0.6 -1.55 1.2 1.65", class: "lab-pad", "aria-hidden": "true" }, line);
+  constructor() {
+    const pad = make("svg", { viewBox: PAD, class: "lab-pad", "aria-hidden": "true" }, make("line", GROUND), this.line);
     let points: number[][] | null = null;
-    const show = () => line.setAttribute("points", (points ?? []).map(([x, y]) => `${x},${-y}`).join(" "));
-    const add = (event: PointerEvent) => {
-      const box = pad.getBoundingClientRect();
-      points?.push([((event.clientX - box.left) / box.width) * 1.2 - 0.6, 1.55 - ((event.clientY - box.top) / box.height) * 1.65]);
-      show();
-    };
     pad.addEventListener("pointerdown", (event: PointerEvent) => {
       pad.setPointerCapture(event.pointerId);
-      points = [];
-      add(event);
+      points = [placeOn(pad, event)];
     });
-    pad.addEventListener("pointermove", (event: PointerEvent) => points && add(event));
+    pad.addEventListener("pointermove", (event: PointerEvent) => {
+      if (!points) return;
+      points.push(placeOn(pad, event));
+      this.show(points);
+    });
     pad.addEventListener("pointerup", () => {
-      if (points) done(points);
+      const line = points;
+      points = null;
+      if (line) this.drawn(line);
+    });
+    pad.addEventListener("pointercancel", () => {
       points = null;
     });
-    this.element = make("div", {}, make("p", {}, "Outline: draw the inflated shape with one line; it fills in height, width, hull area and axis."), pad);
+    this.box.addEventListener("change", () => this.changed());
+    this.element = make("div", {}, make("label", {}, this.box, " Outline (draw the inflated shape)"), pad);
+  }
+
+  set(supports: number[]): void {
+    this.supports = supports;
+    this.box.disabled = false;
+    this.box.checked = true;
+    const corners = outlineCorners(supports);
+    this.show([...corners, corners[0]]);
+  }
+
+  private show(points: number[][]): void {
+    this.line.setAttribute("points", points.map(([x, y]) => `${x},${-y}`).join(" "));
   }
 }

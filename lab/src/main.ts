@@ -4,7 +4,6 @@
  * `window.inflateLab` offers the same to a console and to tests, as promises.
  */
 
-import { Refusal } from "./words.ts";
 import solverSource from "worker:solver_worker.ts";
 import type { DrawOptions } from "./ask.ts";
 import { AskPanel } from "./ask_panel.ts";
@@ -16,6 +15,7 @@ import css from "./lab.css";
 import type { Image, LabelOptions } from "./labels.ts";
 import type { StoredModel } from "./model.ts";
 import { Remote } from "./remote.ts";
+import { Refusal } from "./words.ts";
 
 const here = (document.currentScript as HTMLScriptElement | null)?.src ?? "";
 const solver = new Remote(() => solverSource);

@@ -26,11 +26,15 @@ export interface StoredModel {
   parts: { name: string; length: number }[];
   conditionMin: number[];
   conditionMax: number[];
-  sampling: SamplingOptions;
-  calibrations: Record<string, Calibration>; // names of parts joined by + → calibration
+  ways: Record<string, Way>; // purpose → how it is sampled for it: quick, varied
   tensors: { name: string; shape: number[]; at: number }[]; // where each begins, in numbers
   weights: string; // base64 of 16-bit floats
   reach: Reach;
+}
+
+export interface Way {
+  sampling: SamplingOptions;
+  calibrations: Record<string, Calibration>; // names of parts joined by + → calibration, good for this sampling alone
 }
 
 /** Descriptors of all structures of the data set: what can be reached. */

@@ -14,7 +14,8 @@ const EPSILON = 1e-5; // of the normalisations
 export async function startBackend(wasm: Uint8Array): Promise<void> {
   const content = new Response(wasm as BlobPart, { headers: { "content-type": "application/wasm" } });
   tf.env().platform.fetch = async () => content.clone();
-  setWasmPaths({ "tfjs-backend-wasm-simd.wasm": "embedded" } as Record<string, string>, true);
+  const names = ["", "-simd", "-threaded-simd"].map((kind) => [`tfjs-backend-wasm${kind}.wasm`, "embedded"]);
+  setWasmPaths(Object.fromEntries(names), true);
   await tf.setBackend("wasm");
   await tf.ready();
 }

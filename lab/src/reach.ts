@@ -1,11 +1,12 @@
 /** What can be reached, as `inflate_lib.models.reach`: targets that contradict themselves, or that nothing comes near, are refused. */
 
-import { AXIS_POINTS } from "./shape.ts";
-import { axisHeight, type DescriptorName, type Targets } from "./descriptors.ts";
+import { axisHeight, type DescriptorName, NAMES, type Targets } from "./descriptors.ts";
 import { bytes, type Reach } from "./model.ts";
+import { AXIS_POINTS, DIRECTIONS, outlineHeight, outlineWidth } from "./shape.ts";
 import { general, Refusal } from "./words.ts";
 
 const AGREE = 1e-3; // relative difference up to which two statements of the same length count as one
+const LINES: DescriptorName[] = ["axis", "outline"]; // whose components mean little one by one
 const REACH = 0.1; // a target is within reach if a structure of the data set misses it by no more than this
 
 /** Values of each descriptor of all structures, component after component. */
@@ -27,7 +28,7 @@ export function readReach(reach: Reach): Map<string, Float64Array[]> {
 /** Throw a Refusal, with what can be reached, where a target contradicts itself or no structure comes near. */
 export function checkReach(targets: Targets, table: Map<string, Float64Array[]>): void {
   const asked = Object.keys(targets) as DescriptorName[];
-  const numbers = asked.filter((name) => name !== "axis");
+  const numbers = asked.filter((name) => !LINES.includes(name));
   const misses = missesOf(targets, table);
   const nearest = misses.reduce((best, miss, i) => (miss < misses[best] ? i : best), 0);
   const range = (name: string) => {
@@ -47,13 +48,12 @@ export function checkReach(targets: Targets, table: Map<string, Float64Array[]>)
     problem += `: the closest of all structures misses by ${(100 * misses[nearest]).toFixed(0)}%`;
   }
   if (!problem) return;
-  const spokenOf = [...table.keys()].filter(
-    (name) => (numbers as string[]).includes(name) || (targets.axis && (name === "height" || name === "width")),
-  );
+  const lines = asked.length > numbers.length; // they say what height and width are
+  const spokenOf = NAMES.filter((name) => numbers.includes(name) || (lines && (name === "height" || name === "width")));
   const there = spokenOf.map((name) => {
     const { least, most, column } = range(name);
-    const alone = numbers.length === 1 && !targets.axis;
-    const value = alone ? Math.min(Math.max(targets[name as DescriptorName] as number, least), most) : column[nearest];
+    const alone = numbers.length === 1 && !lines;
+    const value = alone ? Math.min(Math.max(targets[name] as number, least), most) : column[nearest];
     return `${name} ${value.toFixed(3)}`;
   });
   if (targets.axis) {
@@ -82,6 +82,10 @@ function missesOf(targets: Targets, table: Map<string, Float64Array[]>): Float64
           share += Math.hypot(columns[k][i] - axis[k][0], (heights[i] * k) / AXIS_POINTS - axis[k][1]);
         }
         share /= AXIS_POINTS * axisHeight(axis);
+      } else if (name === "outline") {
+        const supports = target as number[];
+        for (let k = 0; k < DIRECTIONS; k++) share += Math.abs(columns[k][i] - supports[k]);
+        share /= DIRECTIONS * outlineHeight(supports);
       } else share = Math.abs(columns[0][i] / (target as number) - 1);
       misses[i] = Math.max(miss, share);
     });
@@ -91,27 +95,31 @@ function missesOf(targets: Targets, table: Map<string, Float64Array[]>): Float64
 
 /** Why no shape at all can meet the targets, or an empty text. */
 function contradiction(targets: Targets): string {
-  const { width, area, axis } = targets as { width?: number; area?: number; axis?: number[][] };
-  const implied = axis && axisHeight(axis);
-  const height = (targets.height as number | undefined) ?? implied;
-  const broken = (name: string, value: number, giver: string, least: number, most: number) => {
-    if (value >= least * (1 - AGREE) && value <= most * (1 + AGREE)) return "";
-    const word = least === most ? "" : value < least ? "at least " : "at most ";
-    return `${name} ${general(value, 4)} contradicts ${giver}, with which it is ${word}${general(value < least ? least : most, 4)}`;
-  };
-  if (height !== undefined && width !== undefined && area !== undefined) {
-    const giver = `height ${general(height, 4)} and width ${general(width, 4)}`;
-    const problem = broken("area", area, giver, 0, height * width);
-    if (problem) return problem;
+  const axis = targets.axis as number[][] | undefined;
+  const outline = targets.outline as number[] | undefined;
+  const exact = (value: number): [number, number] => [value, value];
+  const bounds: [giver: string, name: DescriptorName, least: number, most: number][] = [];
+  // What a line says exactly counts as known where it is not asked for.
+  const height = targets.height ?? (outline ? outlineHeight(outline) : axis && axisHeight(axis));
+  const width = targets.width ?? (outline && outlineWidth(outline));
+  if (typeof height === "number" && typeof width === "number") {
+    bounds.push([`height ${general(height, 4)} and width ${general(width, 4)}`, "area", 0, height * width]);
   }
-  if (axis && implied !== undefined) {
-    if (targets.height !== undefined) {
-      const problem = broken("height", targets.height as number, "the axis", implied, implied);
-      if (problem) return problem;
-    }
+  if (axis) {
     const sideways = axis.map(([x]) => x);
-    const least = Math.max(...sideways) - Math.min(...sideways);
-    if (width !== undefined) return broken("width", width, "the axis", least, Number.POSITIVE_INFINITY);
+    bounds.push(["the axis", "height", ...exact(axisHeight(axis))]);
+    bounds.push(["the axis", "width", Math.max(...sideways) - Math.min(...sideways), Number.POSITIVE_INFINITY]);
+  }
+  if (outline) {
+    bounds.push(["the outline", "height", ...exact(outlineHeight(outline))]);
+    bounds.push(["the outline", "width", ...exact(outlineWidth(outline))]);
+  }
+  for (const [giver, name, least, most] of bounds) {
+    const value = targets[name];
+    if (typeof value !== "number" || (value >= least * (1 - AGREE) && value <= most * (1 + AGREE))) continue;
+    const word = least === most ? "" : value < least ? "at least " : "at most ";
+    const limit = general(value < least ? least : most, 4);
+    return `${name} ${general(value, 4)} contradicts ${giver}, with which it is ${word}${limit}`;
   }
   return "";
 }

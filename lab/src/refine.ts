@@ -2,7 +2,15 @@
 
 import { flipChanges, sensitivities } from "./adjoint.ts";
 import { findFlaw } from "./buildable.ts";
-import { type DescriptorName, describe, deviation, gradient, largestMiss, type Targets } from "./descriptors.ts";
+import {
+  type DescriptorName,
+  describe,
+  deviation,
+  gradient,
+  largestMiss,
+  outlineGradient,
+  type Targets,
+} from "./descriptors.ts";
 import { deformed, type InflateOptions, type Inflation, inflate } from "./inflation.ts";
 import { type Image, type LabelOptions, labelImage, VOID } from "./labels.ts";
 import { Refusal } from "./words.ts";
@@ -70,11 +78,14 @@ function mostPromising(label: Image, result: Inflation, targets: Targets): numbe
   const expected = new Float64Array(label.length);
   for (const [key, target] of Object.entries(targets)) {
     const name = key as DescriptorName;
-    const load = gradient(name, deformed(result));
+    const nodes = deformed(result);
+    const load = name === "outline" ? outlineGradient(nodes, target as number[]) : gradient(name, nodes);
     const change = load && flipChanges(label, sensitivities(result, load));
+    const stays = deviation(name, found, target);
     for (const k of pixels) {
-      const stays = deviation(name, found, target);
-      const miss = change ? Math.abs(((found[name] as number) + change[k]) / (target as number) - 1) : stays;
+      let miss = stays; // of an axis no derivative is known
+      if (change && name === "outline") miss = stays + change[k];
+      else if (change) miss = Math.abs(((found[name] as number) + change[k]) / (target as number) - 1);
       expected[k] = Math.max(expected[k], miss);
     }
   }

@@ -3,6 +3,7 @@
 import { Refusal } from "./words.ts";
 
 export const AXIS_POINTS = 30;
+export const DIRECTIONS = 32; // of an outline; a multiple of four: right, up, left and down are among them
 
 /** Numbers of the corners of the convex hull of nodes (n, 2), counter-clockwise; none of them on a side. */
 export function convexHull(nodes: Float64Array): number[] {
@@ -75,3 +76,33 @@ export function across(line: number[][], y: number): number {
   const [[x0, y0], [x1, y1]] = line.slice(next - 1, next + 1);
   return x0 + ((x1 - x0) / (y1 - y0)) * (y - y0);
 }
+
+/** Directions (cos θ, sin θ) at θ = 2π k / 32, exact in the quarters. */
+export const NORMALS = Array.from({ length: DIRECTIONS }, (_, k) => {
+  const angle = (2 * Math.PI * k) / DIRECTIONS;
+  return [Math.cos(angle), Math.sin(angle)].map((value) => Number(value.toFixed(15)));
+});
+
+/**
+ * Outline of the convex hull of points as its support function: how far it reaches in each of the 32 directions from
+ * the point of the ground below its middle.
+ */
+export function supportFunction(points: number[][]): number[] {
+  const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+  const [middle, ground] = [(Math.min(...xs) + Math.max(...xs)) / 2, Math.min(...ys)];
+  return NORMALS.map(([nx, ny]) => Math.max(...points.map(([x, y]) => nx * (x - middle) + ny * (y - ground))));
+}
+
+/** Corners (32, 2) of the polygon whose sides have the outward normals and distances of a support function. */
+export function outlineCorners(supports: number[]): number[][] {
+  return NORMALS.map(([a, b], k) => {
+    const next = (k + 1) % DIRECTIONS;
+    const [c, d] = NORMALS[next];
+    const determinant = a * d - b * c;
+    return [(supports[k] * d - supports[next] * b) / determinant, (supports[next] * a - supports[k] * c) / determinant];
+  });
+}
+
+/** Height and width of the shape of a support function. */
+export const outlineHeight = (supports: number[]) => supports[DIRECTIONS / 4] + supports[(3 * DIRECTIONS) / 4];
+export const outlineWidth = (supports: number[]) => supports[0] + supports[DIRECTIONS / 2];

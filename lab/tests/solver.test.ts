@@ -6,12 +6,12 @@ import { test } from "node:test";
 import { flipChanges, sensitivities } from "../src/adjoint.ts";
 import { findFlaw } from "../src/buildable.ts";
 import { crossings, selfContact } from "../src/contact.ts";
-import { describe, gradient, largestMiss } from "../src/descriptors.ts";
+import { describe, describeNodes, deviation, gradient, largestMiss, outlineGradient } from "../src/descriptors.ts";
 import { blockNumber, eliminate, factorise, solve } from "../src/factor.ts";
 import { deformed, inflate } from "../src/inflation.ts";
 import { FRAME, labelImage, labelled, pointJoints, turned, VOID, WALL } from "../src/labels.ts";
 import { boundaryLoops, buildMesh } from "../src/mesh.ts";
-import { convexHull, medialAxis, polygonArea } from "../src/shape.ts";
+import { convexHull, medialAxis, outlineCorners, polygonArea, supportFunction } from "../src/shape.ts";
 import { general } from "../src/words.ts";
 
 const reference = JSON.parse(readFileSync(new URL("../tests/reference.json", import.meta.url), "utf8"));
@@ -51,12 +51,35 @@ for (const wanted of reference.cases) {
       1e-8,
       "load steps",
     );
-    const { axis, ...numbers } = describe(result);
+    const { axis, outline, ...numbers } = describe(result);
     for (const [name, value] of Object.entries(numbers)) near([value], [wanted.descriptors[name]], 1e-8, name);
     near(axis.flat(), wanted.descriptors.axis.flat(), 1e-8, "axis");
+    near(outline, wanted.descriptors.outline, 1e-8, "outline");
     assert.equal(selfContact(result), wanted.self_contact);
   });
 }
+
+test("the outline's deviation changes as its gradient says", () => {
+  const { displacement, mesh } = inflate(labelImage(bytes(reference.adjoint.image)));
+  const nodes = mesh.nodes.map((value, k) => value + displacement[displacement.length - 1][k]);
+  const target = describeNodes(nodes).outline.map((value, k) => value + 0.05 * Math.cos(k) + 0.01);
+  const away = (x: Float64Array) => deviation("outline", { ...describeNodes(x), stress: 0, stretch: 0 }, target);
+  const moves = nodes.map((_, k) => (mesh.clamped[k >> 1] ? 0 : Math.sin(7 * k + 1)));
+  const h = 1e-6;
+  const [ahead, behind] = [h, -h].map((step) => away(nodes.map((value, k) => value + step * moves[k])));
+  const expected = outlineGradient(nodes, target).reduce((sum, value, k) => sum + value * moves[k], 0);
+  near([(ahead - behind) / (2 * h)], [expected], 1e-8, "derivative");
+});
+
+test("an outline's corners have its support function", () => {
+  const supports = supportFunction([
+    [0, 0],
+    [2, 0],
+    [2.5, 1],
+    [1, 2],
+  ]);
+  near(supportFunction(outlineCorners(supports)), supports, 1e-12, "supports");
+});
 
 test("sensitivities are those of the library", () => {
   const label = labelImage(bytes(reference.adjoint.image));
