@@ -254,9 +254,11 @@
 
   document.addEventListener("DOMContentLoaded", () => {
     document.querySelectorAll(".forward-slider").forEach(forward);
-    document.querySelectorAll(".design-explorer").forEach((root) => {
-      if (window.inflateExplorer) explorer(root, window.inflateExplorer);
-      else root.append(make("p", {}, "The data of this page are missing: explorer_data.js was not found."));
-    });
+    document.querySelectorAll(".design-explorer").forEach(window.inflateMountExplorer);
   });
+  /* The laboratory shows it, too, where a browser cannot do what it needs. */
+  window.inflateMountExplorer = (root) => {
+    if (window.inflateExplorer) explorer(root, window.inflateExplorer);
+    else root.append(make("p", {}, "The data of this page are missing: explorer_data.js was not found."));
+  };
 })();

@@ -18,8 +18,8 @@ const NUMBERS: [DescriptorName, string, number, number][] = [
   ["height", "Height", 1.05, 1],
   ["width", "Width", 0.9, 1],
   ["area", "Hull area", 0.75, 1],
-  ["stress", "Peak stress σ/μ", 1.2, MU],
-  ["stretch", "Peak stretch", 1.35, 1],
+  ["stress", "Stress σ/μ", 1.2, MU],
+  ["stretch", "Stretch", 1.35, 1],
 ];
 const HEIGHTS = [0.25, 0.5, 0.75, 1]; // of the handles of an axis, in shares of its height
 const TRIES = 60;
@@ -80,6 +80,7 @@ export class AskPanel {
     this.refining = button("Refine the drawing", () => this.refine());
     this.outline.changed = () => this.tellTargets();
     this.outline.drawn = (points) => this.takeOutline(points);
+    this.outline.copy = () => this.takeOutlineOfDrawing();
     this.element = make(
       "section",
       { class: "lab-ask", "aria-label": "Ask for a structure" },
@@ -245,6 +246,12 @@ export class AskPanel {
     this.status.textContent = sentence((error as Error).message);
   }
 
+  private takeOutlineOfDrawing(): void {
+    const { simulation } = this.bench;
+    if (!simulation?.descriptors) this.tell(new Refusal("there is no inflated structure whose outline could be taken"));
+    else this.takeOutline(pairs(simulation.positions[simulation.reached]));
+  }
+
   /** An outline says what height, width, area and axis are, so these are asked for no longer. */
   private takeOutline(points: number[][]): void {
     try {
@@ -266,6 +273,8 @@ export class AskPanel {
   }
 }
 
+const pairs = (nodes: Float64Array) =>
+  Array.from({ length: nodes.length / 2 }, (_, k) => [nodes[2 * k], nodes[2 * k + 1]]);
 const percent = (share: number) => `${(100 * share).toFixed(1)} %`;
 const cavityOf = (label: Image) => label.map((value) => Number(value === VOID));
 
@@ -330,7 +339,7 @@ class AxisField {
       this.height.row,
       ...this.sliders.map((one) => one.row),
     );
-    this.element = make("div", {}, make("label", {}, this.box, " Medial axis (drag the dots)"), pad, numbers);
+    this.element = make("div", {}, make("label", {}, this.box, " Medial axis (drag)"), pad, numbers);
     this.show();
   }
 
@@ -393,6 +402,7 @@ class OutlineField {
   supports: number[] | null = null;
   changed: () => void = () => {};
   drawn: (points: number[][]) => void = () => {};
+  copy: () => void = () => {};
   private readonly line = make("polyline", {});
 
   constructor() {
@@ -416,7 +426,8 @@ class OutlineField {
       points = null;
     });
     this.box.addEventListener("change", () => this.changed());
-    this.element = make("div", {}, make("label", {}, this.box, " Outline (draw the inflated shape)"), pad);
+    const copy = button("Take that of the drawing", () => this.copy());
+    this.element = make("div", {}, make("label", {}, this.box, " Outline (draw it)"), pad, copy);
   }
 
   set(supports: number[]): void {

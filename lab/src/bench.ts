@@ -24,6 +24,7 @@ import { draw, frameOf, legend, QUANTITIES, type Quantity } from "./view.ts";
 import { Refusal } from "./words.ts";
 
 const STEP_TIME = 180; // milliseconds that a load step is shown
+const FIRST = starts.findIndex(({ name }) => name === "a drawn structure (1)"); // which is shown at first
 const PICTURE = 560; // canvas pixels of a picture's side
 const ELEMENT_WORDS: Record<Element, string> = { "mean-dilatation": "mean dilatation", q1: "plain Q1, which locks" };
 
@@ -91,9 +92,9 @@ export class Bench {
     try {
       const told = this.small ? null : fromFragment(location.hash);
       if (told) this.take(told.image, told.settings);
-      else this.take(start(starts[0].image));
+      else this.take(start(starts[FIRST].image));
     } catch (error) {
-      this.take(start(starts[0].image));
+      this.take(start(starts[FIRST].image));
       this.tell(error);
     }
   }
@@ -377,6 +378,13 @@ function numbers(found: Descriptors, mu: number): HTMLElement[] {
     make("title", {}, words),
     make("polyline", { points: path, fill: "none" }),
   );
+  const supports = found.outline.map((value, k) => `${(360 * k) / found.outline.length}°: ${value.toFixed(3)}`);
+  const outline = make(
+    "details",
+    { class: "lab-outline" },
+    make("summary", {}, "outline: how far the hull reaches, from the ground below its middle"),
+    make("p", {}, supports.join(", ")),
+  );
   const terms = rows.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]);
-  return [make("dl", {}, ...terms), make("figure", {}, axis, make("figcaption", {}, "medial axis"))];
+  return [make("dl", {}, ...terms), make("figure", {}, axis, make("figcaption", {}, "medial axis")), outline];
 }

@@ -34,6 +34,7 @@ declare global {
   interface Window {
     inflateNetwork: string;
     inflateModel: StoredModel;
+    inflateMountExplorer?: (root: HTMLElement) => void; // explorer.js of the book
   }
 }
 let scripts: Promise<unknown> | null = null;
@@ -69,19 +70,34 @@ declare global {
 }
 window.inflateLab = inflateLab;
 
+/** Where something cannot be computed here: what was computed when the book was made. */
+async function mountStored(root: HTMLElement, why: string): Promise<void> {
+  const explorer = make("div", { class: "design-explorer" });
+  root.append(make("p", { role: "status" }, why), explorer);
+  try {
+    await script("explorer_data.js");
+    window.inflateMountExplorer?.(explorer);
+  } catch (error) {
+    explorer.append((error as Error).message);
+  }
+}
+
 function mount(root: HTMLElement): void {
-  if (typeof Worker === "undefined" || typeof Blob === "undefined") {
-    root.append(
-      make("p", {}, "This browser runs no workers, which the laboratory needs; the stored explorer works without."),
-    );
+  const small = root.dataset.small !== undefined;
+  const stored = "What follows was computed when the book was made.";
+  if (typeof Worker === "undefined") {
+    const why = "This browser runs no workers, which the laboratory needs.";
+    if (small) root.append(make("p", {}, why));
+    else mountStored(root, `${why} ${stored}`);
     return;
   }
-  const small = root.dataset.small !== undefined;
   const bench = new Bench(solver, small);
   root.append(bench.element);
   bench.open();
   if (small) return;
-  root.append(new AskPanel(bench, network, solver).element);
+  if (typeof WebAssembly === "undefined") {
+    mountStored(root, `This browser has no WebAssembly, with which structures are drawn for what you ask. ${stored}`);
+  } else root.append(new AskPanel(bench, network, solver).element);
   window.addEventListener("hashchange", () => bench.open());
 }
 

@@ -9,11 +9,15 @@ const AGREE = 1e-3; // relative difference up to which two statements of the sam
 const LINES: DescriptorName[] = ["axis", "outline"]; // whose components mean little one by one
 const REACH = 0.1; // a target is within reach if a structure of the data set misses it by no more than this
 
+const read = new WeakMap<Reach, Map<string, Float64Array[]>>();
+
 /** Values of each descriptor of all structures, component after component. */
 export function readReach(reach: Reach): Map<string, Float64Array[]> {
+  const known = read.get(reach);
+  if (known) return known;
   const shares = new Uint16Array(bytes(reach.table).buffer);
   let at = 0;
-  return new Map(
+  const table = new Map(
     reach.columns.map(({ name, length, least, most }) => {
       const components = Array.from({ length }, (_, k) => {
         const column = shares.subarray(at, at + reach.structures);
@@ -23,6 +27,8 @@ export function readReach(reach: Reach): Map<string, Float64Array[]> {
       return [name, components];
     }),
   );
+  read.set(reach, table);
+  return table;
 }
 
 /** Throw a Refusal, with what can be reached, where a target contradicts itself or no structure comes near. */

@@ -23,7 +23,7 @@ PROFILE = (executed_under(paths.EXECUTED / "08_dataset.ipynb") or {}).get("profi
 HTML = paths.BOOK / "_build" / "html"
 PAGES = sorted(str(path.relative_to(HTML)) for path in HTML.rglob("*.html") if "_static" not in path.parts)
 WIDTHS = {"phone": (390, 844), "desktop": (1280, 900)}
-LARGEST = 60e6  # bytes of the whole book
+LARGEST = 64e6  # bytes of the whole book, 4e6 of them the laboratory
 LOUD = "NO BROWSER TEST: no Chromium or Chrome found. Install one (Debian: chromium), or set INFLATE_CHROMIUM to it."
 
 
@@ -297,6 +297,49 @@ def test_a_target_in_the_plane_is_dragged_and_stepped(browser, data):
         assert words(one) in page.locator(".explorer-status").inner_text()
         if one["structures"]:
             np.testing.assert_allclose(drawn(page), expected(data, one["structures"][0], -1), atol=1e-9)
+
+
+INFLATED = "/built\\./.test(document.querySelector('.lab-status')?.textContent)"
+
+
+@pytest.mark.parametrize("name", ["index.html", "laboratory.html"])
+def test_the_laboratory_is_ready_soon_on_a_narrow_screen(browser, name):
+    with Reader(browser, "phone", "dark", reduced_motion="reduce") as reader:
+        reader.page.set_viewport_size({"width": 360, "height": 780})
+        page = reader.open(name)
+        page.wait_for_function(INFLATED)
+        assert page.evaluate("performance.now()") < 3000
+        assert not reader.complaints
+        assert too_wide(page) == []
+        page.locator(".lab-drawing").scroll_into_view_if_needed()
+        box = page.locator(".lab-drawing").bounding_box()
+        page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.8 * box["height"])
+        before = page.locator(".lab-numbers dd").first.inner_text()
+        page.mouse.down()
+        page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 0.3 * box["height"], steps=5)
+        page.mouse.up()
+        page.wait_for_function("(dd) => document.querySelector('.lab-numbers dd')?.textContent !== dd", arg=before)
+
+
+def test_the_laboratory_draws_and_its_page_is_small(browser):
+    with Reader(browser, reduced_motion="reduce") as reader:
+        page = reader.open("laboratory.html")
+        page.get_by_role("button", name="Draw structures").click()
+        page.wait_for_function("/the best misses/.test(document.querySelector('.lab-ask .lab-status').textContent)")
+        assert not reader.complaints
+        files = {url.partition("?")[0].removeprefix("file://") for url in reader.requests if url.startswith("file:")}
+        assert any(file.endswith("laboratory_model.js") for file in files)
+        assert sum(Path(unquote(file)).stat().st_size for file in files) < 12e6
+
+
+@pytest.mark.parametrize("missing", ["WebAssembly", "Worker"])
+def test_without_what_the_laboratory_needs_the_explorer_is_shown(browser, missing):
+    with Reader(browser, reduced_motion="reduce") as reader:
+        reader.page.add_init_script(f"delete window.{missing}")
+        page = reader.open("laboratory.html")
+        page.locator(".inflate-lab .explorer-gallery figure").first.wait_for()
+        assert missing.lower() in page.locator(".inflate-lab").inner_text().lower()
+        assert not reader.complaints
 
 
 def test_the_forward_slider_moves_from_image_to_noise(desktop):
