@@ -1,5 +1,6 @@
 /**
- * Bundles the laboratory into `built/`, which git keeps; with `--tests`, its unit tests into `.tests/` for `node --test`.
+ * Bundles the laboratory into `built/`, which git keeps; with `--check`, says whether
+ * that is current; with `--tests`, bundles its unit tests into `.tests/` for `node --test`.
  *
  * Each file of `built/` begins with the digest of all that it is made of, which tests/lab/test_built.py computes again.
  */
@@ -67,6 +68,12 @@ if (process.argv.includes("--tests")) {
 } else {
   const head = `/* Made by lab/build.mjs from ${digest()} */\n`;
   for (const [name, entry] of Object.entries({ laboratory: "main.ts", laboratory_network: "network_script.ts" })) {
-    writeFileSync(`built/${name}.js`, head + (await bundled(`src/${entry}`)));
+    const file = `built/${name}.js`;
+    const content = head + (await bundled(`src/${entry}`));
+    if (!process.argv.includes("--check")) writeFileSync(file, content);
+    else if (readFileSync(file, "utf8") !== content) {
+      console.error(`${file} is not made from the sources as they are: npm run build`);
+      process.exitCode = 1;
+    }
   }
 }

@@ -55,13 +55,10 @@ export class AskPanel {
       });
       value.addEventListener("input", () => {
         wanted.checked = true;
-        this.tellTargets();
       });
-      wanted.addEventListener("change", () => this.tellTargets());
       this.fields.set(name, { wanted, value });
       return make("div", { class: "lab-field" }, make("label", {}, wanted, ` ${words}`), value);
     });
-    this.axis.changed = () => this.tellTargets();
     const none = () => {};
     const ways: [string, string][] = [
       ["quick", "quick"],
@@ -78,7 +75,6 @@ export class AskPanel {
     this.seed = make("input", { type: "number", min: 0, step: 1, value: 0 });
     this.go = button("Draw structures", () => (this.stopping ? this.stop() : this.ask()));
     this.refining = button("Refine the drawing", () => this.refine());
-    this.outline.changed = () => this.tellTargets();
     this.outline.drawn = (points) => this.takeOutline(points);
     this.outline.copy = () => this.takeOutlineOfDrawing();
     this.element = make(
@@ -99,7 +95,6 @@ export class AskPanel {
       this.status,
       this.gallery,
     );
-    this.tellTargets();
   }
 
   private stopping = false;
@@ -115,8 +110,10 @@ export class AskPanel {
     return targets;
   }
 
-  private tellTargets(): void {
+  /** The targets, which go with the structure from now on. */
+  private asked(): Targets {
     this.bench.targets = this.targets();
+    return this.bench.targets;
   }
 
   /** The sliders follow the way in which the model is asked. */
@@ -136,9 +133,11 @@ export class AskPanel {
     try {
       this.status.textContent = "The network is being loaded.";
       const { remote } = await this.network();
-      const targets = this.targets();
+      const targets = this.asked();
       const n = this.number.value;
-      const canvases = Array.from({ length: n }, () => make("canvas", { width: FRAME, height: FRAME, role: "img" }));
+      const canvases = Array.from({ length: n }, () =>
+        make("canvas", { width: FRAME, height: FRAME, role: "img", "aria-label": "A structure that is being drawn" }),
+      );
       const figures = canvases.map((canvas, k) =>
         make("figure", {}, canvas, make("figcaption", {}, `structure ${k + 1}`)),
       );
@@ -203,7 +202,7 @@ export class AskPanel {
     this.busy(true);
     const { bench } = this;
     try {
-      const targets = this.targets();
+      const targets = this.asked();
       let last: Try | null = null;
       const watch = (progress: Try) => {
         if (progress.flipped.length !== (last?.flipped.length ?? 0)) {
@@ -265,7 +264,6 @@ export class AskPanel {
       this.axis.set(axis);
       this.axis.box.checked = false;
       this.outline.set(outline);
-      this.tellTargets();
       this.status.textContent = `The outline is ${height.toFixed(3)} high and ${width.toFixed(3)} wide, its hull area is ${area.toFixed(3)}.`;
     } catch (error) {
       this.tell(error);
@@ -287,7 +285,6 @@ function paint(canvas: HTMLCanvasElement, image: ArrayLike<number>): void {
 /** A medial axis as a curve through four points that are dragged, or moved by sliders. */
 class AxisField {
   readonly element: HTMLElement;
-  changed: () => void = () => {};
   readonly box: HTMLInputElement = make("input", { type: "checkbox" });
   private readonly curve = make("polyline", { fill: "none" });
   private readonly handles;
@@ -298,7 +295,6 @@ class AxisField {
     const moved = () => {
       this.box.checked = true;
       this.show();
-      this.changed();
     };
     this.height = slider("Axis: height", [0.5, 1.45, 0.01], 1.05, (v) => v.toFixed(2), moved);
     const words = ["at a quarter", "at half", "at three quarters", "at the top"];
@@ -331,7 +327,6 @@ class AxisField {
         held = -1;
       });
     }
-    this.box.addEventListener("change", () => this.changed());
     const numbers = make(
       "details",
       {},
@@ -400,7 +395,6 @@ class OutlineField {
   readonly element: HTMLElement;
   readonly box: HTMLInputElement = make("input", { type: "checkbox", disabled: true });
   supports: number[] | null = null;
-  changed: () => void = () => {};
   drawn: (points: number[][]) => void = () => {};
   copy: () => void = () => {};
   private readonly line = make("polyline", {});
@@ -425,7 +419,6 @@ class OutlineField {
     pad.addEventListener("pointercancel", () => {
       points = null;
     });
-    this.box.addEventListener("change", () => this.changed());
     const copy = button("Take that of the drawing", () => this.copy());
     this.element = make("div", {}, make("label", {}, this.box, " Outline (draw it)"), pad, copy);
   }

@@ -48,12 +48,16 @@ export class Bench {
   private step = Number.POSITIVE_INFINITY; // the last one, whichever that is
   private running = false;
   private again = false;
+  private notice = ""; // what was wrong with the address, until something is drawn
 
   constructor(
     private readonly solver: Remote,
     private readonly small: boolean,
   ) {
-    this.drawing = new Drawing(() => this.run());
+    this.drawing = new Drawing(() => {
+      this.notice = "";
+      this.run();
+    });
     const view = () => make("canvas", { width: PICTURE, height: PICTURE, class: "lab-view", role: "img" });
     this.views = [view(), view()];
     this.load = slider(
@@ -95,7 +99,7 @@ export class Bench {
       else this.take(start(starts[FIRST].image));
     } catch (error) {
       this.take(start(starts[FIRST].image));
-      this.tell(error);
+      this.notice = `${sentence((error as Error).message)} `;
     }
   }
 
@@ -143,7 +147,9 @@ export class Bench {
       this.load.value = this.step;
       const note = found.note ? ` ${sentence(found.note)}` : "";
       const verdict = found.flaw ? `It cannot be built. ${found.flaw}` : "It can be built.";
-      this.status.textContent = `${verdict}${note}`;
+      const { descriptors } = found;
+      const size = descriptors ? ` Inflated it is ${inWords(descriptors)}.` : "";
+      this.status.textContent = `${this.notice}${verdict}${note}${size}`;
       this.numbers.replaceChildren(...(found.descriptors ? numbers(found.descriptors, found.result.lame[1]) : []));
     }
     this.show();
@@ -165,7 +171,7 @@ export class Bench {
     this.legend.tell(simulation, quantity);
     const { left, right, bottom, top } = frameOf(simulation);
     const size = simulation.descriptors
-      ? `${simulation.descriptors.height.toFixed(3)} high and ${simulation.descriptors.width.toFixed(3)} wide when inflated`
+      ? `${inWords(simulation.descriptors)} when inflated`
       : `at most ${(top - bottom).toFixed(3)} high and ${(right - left).toFixed(3)} wide`;
     this.views[0].setAttribute(
       "aria-label",
@@ -173,7 +179,7 @@ export class Bench {
     );
     this.views[1].setAttribute(
       "aria-label",
-      `The structure at load step ${this.step}: ${size}. ${this.status.textContent}`,
+      `The structure at load step ${this.step} of ${simulation.result.pressures.length}, ${size}`,
     );
   }
 
@@ -358,6 +364,9 @@ function start(packed: string): Image {
   const told = fromFragment(`lab=${packed || "A".repeat(131)}`);
   return told ? told.image : new Float64Array(784);
 }
+
+const inWords = ({ height, width, area }: Descriptors) =>
+  `${height.toFixed(3)} high and ${width.toFixed(3)} wide, with a hull area of ${area.toFixed(3)}`;
 
 /** Descriptors as a list of names and numbers, and the medial axis as a small curve. */
 function numbers(found: Descriptors, mu: number): HTMLElement[] {

@@ -1,11 +1,15 @@
 """The laboratory in a real browser, opened from the disk without a network, finds what the library finds."""
 
+import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from inflate_lib import load_model, load_sevens
+from inflate_lib.inverse.drawn import continue_drawn
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "helpers"))
 import laboratory
@@ -38,6 +42,14 @@ def wait_for(page, words, of=".lab-bench"):
         arg=[of, words],
     )
     return status(page, of)
+
+
+def start_from(page, name):
+    page.get_by_role("button", name="Clear").click()
+    assert wait_for(page, "blank").startswith("Nothing can be inflated. Image is blank")
+    page.get_by_label("Start from").select_option(label=name)
+    wait_for(page, "can be built")
+    return page.locator(".lab-numbers dd").all_text_contents()
 
 
 def test_two_hundred_structures_inflate_alike(page):
@@ -108,11 +120,9 @@ def test_a_second_click_stops_what_is_computed(page):
 
 def test_the_page_says_what_came_out(page):
     """Clear the drawing: a sentence. Fill one: it inflates again. Nothing complains."""
-    page.get_by_role("button", name="Clear").click()
-    assert wait_for(page, "blank").startswith("Nothing can be inflated. Image is blank")
-    page.get_by_label("Start from").select_option(label="a seven (2)")
-    wait_for(page, "can be built")
-    assert float(page.locator(".lab-numbers dd").first.text_content()) > 0.5
+    height, *_ = start_from(page, "a seven (2)")
+    assert 0.5 < float(height) < 1.5
+    assert height in status(page)
     assert page.complaints == []
 
 
@@ -127,9 +137,7 @@ def test_the_keyboard_draws(page):
 
 
 def test_a_link_opens_the_same_structure(page):
-    page.get_by_label("Start from").select_option(label="a drawn structure (1)")
-    wait_for(page, "can be built")
-    before = page.locator(".lab-numbers dd").all_text_contents()
+    before = start_from(page, "a drawn structure (1)")
     page.get_by_role("button", name="Link").click()
     address = page.evaluate("location.hash")
     page.evaluate("location.hash = '#lab=broken'")
@@ -154,13 +162,46 @@ def test_what_is_no_structure_is_refused_with_a_sentence(page, name, content, sa
     assert page.complaints == []
 
 
+@pytest.mark.parametrize("size", [(300, 200), (5, 28), (1000, 1000)])
+def test_a_picture_of_another_size_is_drawn_smaller(page, tmp_path, size):
+    width, height = size
+    dark = np.full((height, width), 255, np.uint8)
+    dark[height // 5 : height - height // 5, width // 3 : width - width // 3] = 0
+    Image.fromarray(dark).save(tmp_path / "picture.png")
+    page.locator("input[type=file]").set_input_files(tmp_path / "picture.png")
+    wait_for(page, "Inflated it is")
+    assert page.complaints == []
+
+
+def test_a_page_in_the_background_computes(page):
+    page.get_by_role("button", name="Clear").click()
+    wait_for(page, "blank")
+    other = page.context.new_page()
+    other.bring_to_front()
+    page.evaluate("(hash) => { location.hash = hash; }", f"#lab={'_' * 130}8")
+    wait_for(page, "Nothing can be inflated|Inflated it is")
+    drawing = page.evaluate("inflateLab.draw({ height: 1.05 }).then((images) => images.length)")
+    assert drawing == 1
+    other.close()
+    page.evaluate("location.hash = ''")
+
+
+def test_a_ring_is_filled_and_says_so(page):
+    row, column = np.mgrid[:28, :28]
+    ring = abs(np.hypot(row - 14, column - 14) - 7) < 2
+    content = {"format": "inflate-lab 1", "image": ["".join(map(str, line)) for line in ring.astype(int)]}
+    page.locator("input[type=file]").set_input_files(
+        {"name": "ring.json", "mimeType": "", "buffer": json.dumps(content).encode()}
+    )
+    assert "hole" in wait_for(page, "filled")
+
+
 def test_a_saved_structure_opens_again(page, tmp_path):
-    page.get_by_label("Start from").select_option(label="a seven (2)")
-    wait_for(page, "can be built")
-    before = page.locator(".lab-numbers dd").all_text_contents()
+    before = start_from(page, "a seven (2)")
     with page.expect_download() as download:
         page.get_by_role("button", name="JSON").click()
     download.value.save_as(tmp_path / "structure.json")
+    continue_drawn(tmp_path / "structure.json", refine=0)
     page.get_by_role("button", name="Clear").click()
     wait_for(page, "blank")
     page.locator("input[type=file]").set_input_files(tmp_path / "structure.json")
