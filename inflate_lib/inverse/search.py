@@ -326,11 +326,11 @@ class Search:
 def find_model(targets: Targets, profile: str | None = None) -> Model:
     """The model to design with.
 
-    That is the model of a single descriptor, or of the box, where it takes all that is asked for; else the joint model,
-    which does; and where its weights are not there, the single model that takes most of it: the rest hangs together
-    with that, and choice and refinement see to what does not (``benchmarks/joint.py`` measures them on the same
-    targets). Committed weights come first, the best ones of ``data/pretrained`` or those of `profile`; else the model
-    of the profile (``ci`` by default) is found in the cache or trained.
+    That is the model of a single size, or of the box, where it takes all that is asked for; else the joint model,
+    which does, and which follows an axis best (``benchmarks/joint.py`` measures them on the same targets). Where its
+    weights are not there, it is the single model that takes most of it: the rest hangs together with that, and choice
+    and refinement see to what does not. Committed weights come first, the best ones of ``data/pretrained`` or those of
+    `profile`; else the model of the profile (``ci`` by default) is found in the cache or trained.
 
     Raises
     ------
@@ -341,7 +341,7 @@ def find_model(targets: Targets, profile: str | None = None) -> Model:
     joint = [one.name for one in registered() if one.any_part and asked & set(one.parts)]
     singles = [one.name for one in models_in_order() if set(one.parts) <= asked]
     singles = [] if asked & {*PHYSICAL} else singles
-    whole = [name for name in singles if set(get_descriptor(name).parts) == asked]
+    whole = [one.name for one in map(get_descriptor, singles) if set(one.parts) == asked and not one.is_line]
     fitting = list(dict.fromkeys(whole + joint + singles))
     for folder in (profile,) if profile else _WEIGHTS:
         for name in fitting:

@@ -397,7 +397,7 @@ def test_the_model_covers_what_is_asked(data, monkeypatch, tmp_path):
     weights("joint")
     for asked, name in (
         (everything, "joint"), ({"height": 1.0, "area": 0.8}, "joint"), ({"height": 1.0, "stress": 0.2}, "joint"),
-        ({"height": 1.0}, "height"), ({"height": 1.0, "width": 0.9}, "box"),
+        ({"height": 1.0}, "height"), ({"height": 1.0, "width": 0.9}, "box"), ({"axis": everything["axis"]}, "joint"),
     ):  # fmt: skip
         assert find_model(Targets(**asked)).name == name
     assert len(find_model(Targets(**everything)).trained.condition_min) == ALL
