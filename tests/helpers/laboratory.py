@@ -1,9 +1,10 @@
 """The laboratory in a real browser, opened from the disk with the network off, beside the library."""
 
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
+import psutil
 
 from inflate_lib import describe, inflate, label_image, load_sevens, paths
 from inflate_lib.book.pdf import _find_chromium, _sandbox_flags
@@ -130,50 +131,76 @@ def drawn_apart(page, model, purpose, targets, n=2):
     return np.abs(np.reshape(found, wanted.shape) - wanted).max()
 
 
-def cost(page, model, images, repeats=7):
-    """Seconds of an inflation and of a drawing, here and in the browser, one after the other on one core.
+def cost(page, model, images, repeats=5):
+    """Seconds of processor time of an inflation and of a drawing, here and in the browser, in turns.
 
-    Of each structure, and of the drawing, the quickest of several times: other programs on the machine hardly count.
-    The browser's clock is that of the wall, Python's that of the processor, which is never behind.
+    So other programs on the machine do not count. The browser's is that of all its processes together.
     """
     labels = [label_image(image) for image in images]
     quick = model.made_for("quick")
-    inflated = [_quickest(lambda label=label: inflate(label), repeats) for label in labels]
-    here = page.evaluate(_TIMED_INFLATIONS, [[label.tolist() for label in labels], repeats])
-    drawn = _quickest(lambda: quick.draw({"height": 1.05}), repeats)
-    there = page.evaluate(_TIMED_DRAWINGS, repeats)
+    told = [label.tolist() for label in labels]
+
+    def inflate_here():
+        for label in labels:
+            inflate(label)
+
     return (
-        {"python": float(np.median(inflated)), "browser": float(np.median(here)) / 1000},
-        {"python": drawn, "browser": there / 1000},
+        _apiece(
+            len(labels),
+            repeats,
+            inflate_here,
+            lambda: page.evaluate(_INFLATE_ALL, told),
+        ),
+        _apiece(
+            5,
+            repeats,
+            lambda: [quick.draw({"height": 1.05}) for _ in range(5)],
+            lambda: page.evaluate(_DRAW_FIVE),
+        ),
     )
 
 
-def _quickest(task, repeats):
-    task()
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        task()
-        times.append(time.process_time() - start)
-    return min(times)
+def _apiece(n, repeats, here, there):
+    spent = {"python": [], "browser": []}
+    for k in range(repeats + 1):
+        for name, task, clock in (("python", here, time.process_time), ("browser", there, _browser_time)):
+            start = clock()
+            task()
+            if k:  # the first time everything is compiled
+                spent[name].append((clock() - start) / n)
+    return {name: float(np.median(seconds)) for name, seconds in spent.items()}
 
 
-_TIMED_INFLATIONS = """async ([labels, repeats]) => {
-  const best = labels.map(() => Infinity);
-  for (let k = 0; k <= repeats; k++)
-    for (const [i, label] of labels.entries()) {
-      const start = performance.now();
-      await inflateLab.inflate(label);
-      if (k) best[i] = Math.min(best[i], performance.now() - start);
-    }
-  return best;
-}"""
-_TIMED_DRAWINGS = """async (repeats) => {
-  let best = Infinity;
-  for (let k = 0; k <= repeats; k++) {
-    const start = performance.now();
-    await inflateLab.draw({ height: 1.05 }, { seed: k });
-    if (k) best = Math.min(best, performance.now() - start);
+def _browser_time():
+    """Processor time of all processes that this one has started, in seconds."""
+    spent = 0.0
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):
+            spent += sum(process.cpu_times()[:2])
+    return spent
+
+
+def stroke_seconds(page, n=8):
+    """Processor time of the browser, from a stroke until what it inflates to is shown; the mean of several."""
+    page.evaluate(_STROKES, 1)
+    start = _browser_time()
+    page.evaluate(_STROKES, n)
+    return (_browser_time() - start) / n
+
+
+_INFLATE_ALL = "async (labels) => { for (const label of labels) await inflateLab.inflate(label); }"
+_DRAW_FIVE = "async () => { for (let k = 0; k < 5; k++) await inflateLab.draw({ height: 1.05 }); }"
+_STROKES = """async (n) => {
+  const canvas = document.querySelector(".lab-drawing"), numbers = document.querySelector(".lab-numbers");
+  const { left, top, width, height } = canvas.getBoundingClientRect();
+  for (let k = 0; k < n; k++) {
+    const shown = new Promise((resolve) => {
+      const watch = new MutationObserver(() => { watch.disconnect(); resolve(); });
+      watch.observe(numbers, { childList: true });
+    });
+    const place = { pointerId: 1, clientX: left + (0.35 + 0.02 * k) * width, clientY: top + 0.5 * height };
+    canvas.dispatchEvent(new PointerEvent("pointerdown", place));
+    canvas.dispatchEvent(new PointerEvent("pointerup", place));
+    await shown;
   }
-  return best;
 }"""

@@ -211,6 +211,8 @@ def test_a_saved_structure_opens_again(page, tmp_path):
 
 def test_it_costs_little(page, model):
     """In one run beside the library: an inflation at most ten times as long, a drawing at most five times."""
-    inflation, drawing = laboratory.cost(page, model, load_sevens("digits", limit=8).images, repeats=3)
+    inflation, drawing = laboratory.cost(page, model, load_sevens("digits", limit=8).images, repeats=2)
     assert inflation["browser"] < min(10 * inflation["python"], 0.060)
     assert drawing["browser"] < min(5 * drawing["python"], 1.0)
+    start_from(page, "a seven (2)")
+    assert laboratory.stroke_seconds(page) < 0.1
