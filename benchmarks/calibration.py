@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from stored import store
 
 from inflate_lib._cache import cached, code_version, digest
-from inflate_lib.datasets.settings import SETTINGS, simulate_setting
+from inflate_lib.alternatives.settings import SETTINGS, simulate_setting
 from inflate_lib.experiments.targets import TABULATED, find_clusters, paper_targets
 from inflate_lib.structures.sources import load_sevens
 

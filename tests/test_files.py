@@ -11,9 +11,9 @@ import pytest
 
 from inflate_lib import _files, paths
 from inflate_lib._files import check_outputs, draft, hand_out, hand_out_folder, naming
+from inflate_lib.book.card import write_card
 from inflate_lib.diffusion import storage
 from inflate_lib.diffusion._logs import Log
-from inflate_lib.experiments.card import write_card
 from inflate_lib.models.reach import check_reach_file
 from inflate_lib.models.remote import write_pack
 

@@ -4,26 +4,22 @@ It answers the same targets and is judged by the same pipeline.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+import xarray as xr
 from torch import Tensor, nn
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import whole_number, workers
+from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import descriptor_matrix
+from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.randomness import initialised, random_generator, seed_for
 from inflate_lib.experiments.run import check_targets, judge_once
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.surrogate import train_once
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from inflate_lib.datasets.pairs import TrainingSet
-    from inflate_lib.diffusion import TrainedModel
 
 _LATENT = 4  # numbers that the autoencoder describes an image by, besides the descriptor
 _FINER = (16, 32)  # channels on 28 and on 14 pixels a side
@@ -106,7 +102,7 @@ class _TrainedAutoencoder:
             return self.net.decode(z, self.scaled(np.asarray(conditions, dtype=float))).numpy()
 
 
-def train_autoencoder(pairs: "TrainingSet", like: "TrainedModel") -> _TrainedAutoencoder:
+def train_autoencoder(pairs: TrainingSet, like: TrainedModel) -> _TrainedAutoencoder:
     """Train the autoencoder that stands beside a diffusion model, or find it trained in the cache.
 
     It has as many parameters (the nearest width), sees as many images of the same pairs, in batches of the same
@@ -156,7 +152,7 @@ def run_autoencoder(
     seed: int = 0,
     n_jobs: int = -1,
     calibration: Calibration | None = None,
-) -> "xr.Dataset":
+) -> xr.Dataset:
     """One structure that an autoencoder draws for each target (k, N), as :func:`.run_experiment` does."""
     whole_number("seed", seed, 0)
     workers(n_jobs)

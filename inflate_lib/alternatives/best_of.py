@@ -7,11 +7,11 @@ ranked, the k-th of them is the best of n that were picked at random with probab
 import json
 import time
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 import torch
+import xarray as xr
 from scipy.special import comb
 
 from inflate_lib._cache import cached, step_version
@@ -21,11 +21,7 @@ from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.metrics import bootstrap, misses
 from inflate_lib.experiments.run import model_digest
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from inflate_lib.models.surrogate import Surrogate
+from inflate_lib.models.surrogate import Surrogate
 
 
 def chances(n_candidates, n):
@@ -66,9 +62,9 @@ def _weighted_quantile(values, weights, q):
 
 
 def selection(
-    candidates: "xr.Dataset",
+    candidates: xr.Dataset,
     descriptor: str,
-    trained: "Surrogate",
+    trained: Surrogate,
     ns: Sequence[int] = (1, 4, 16, 50),
     seconds: Mapping | None = None,
     seed: int = 0,

@@ -12,8 +12,6 @@ withholds it while x̂₀ is still a blur. The gradient is not taken through the
 cost.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -25,16 +23,13 @@ from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.diffusion.sampling import denoise, guided, noise_images
 from inflate_lib.diffusion.schedule import at
 from inflate_lib.experiments.run import check_targets, judge_once, model_digest
-from inflate_lib.models.surrogate import soft_label
-
-if TYPE_CHECKING:
-    from inflate_lib.models import Model
-    from inflate_lib.models.surrogate import Surrogate
+from inflate_lib.models import Model
+from inflate_lib.models.surrogate import Surrogate, soft_label
 
 _LARGEST = 0.5  # change of a pixel in one step, of the range from −1 to 1
 
 
-def _correction(x0: Tensor, wanted: Tensor, trained: "Surrogate", columns: np.ndarray) -> Tensor:
+def _correction(x0: Tensor, wanted: Tensor, trained: Surrogate, columns: np.ndarray) -> Tensor:
     """What to add to clean images (n, 1, 28, 28) in [−1, 1] so that the surrogate expects ``wanted`` (n, N) of them.
 
     ``wanted`` is on the surrogate's own scale: mean 0, standard deviation 1.
@@ -50,10 +45,10 @@ def _correction(x0: Tensor, wanted: Tensor, trained: "Surrogate", columns: np.nd
 
 
 def steer(
-    model: "Model",
+    model: Model,
     told: np.ndarray,
     wanted: np.ndarray,
-    trained: "Surrogate",
+    trained: Surrogate,
     strength: float = 1.0,
     seed: int = 0,
     start: int = 0,

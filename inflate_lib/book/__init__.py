@@ -1,4 +1,4 @@
-"""The book: profiles, pages and what they publish, runs of the notebooks, the built pages."""
+"""The book: profiles, pages and what they publish, runs of the notebooks, the built pages, the model cards."""
 
 from typing import TYPE_CHECKING
 

@@ -19,8 +19,8 @@ def card(
 ) -> None:
     """Measure the weights of a profile on held-out targets, and write the model card beside them."""
     paths.need_checkout("inflate card")
+    from inflate_lib.book.card import write_card
     from inflate_lib.datasets.simulate import simulated_sevens
-    from inflate_lib.experiments.card import write_card
     from inflate_lib.models.recipe import load_recipe
 
     recipe = load_recipe(profile)

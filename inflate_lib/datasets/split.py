@@ -1,13 +1,9 @@
 """Which structures are kept from training: one rule for every model, table and chapter."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import xarray as xr
 
 from inflate_lib._checks import whole_number
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def held_out(n: int) -> np.ndarray:
@@ -23,6 +19,6 @@ def held_out(n: int) -> np.ndarray:
     return np.arange(whole_number("n", n, 0)) % 10 == 9
 
 
-def training_rows(data: "xr.Dataset") -> np.ndarray:
+def training_rows(data: xr.Dataset) -> np.ndarray:
     """Row numbers of the structures that models are trained on."""
     return np.flatnonzero(data["converged"].values & ~held_out(data.sizes["structure"]))

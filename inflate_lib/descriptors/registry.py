@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -24,6 +24,7 @@ from inflate_lib.descriptors.distances import (
 from inflate_lib.descriptors.shape import (
     AXIS_POINTS,
     OUTLINE_DIRECTIONS,
+    Shape,
     area_gradient,
     axis_height,
     check_axis,
@@ -37,9 +38,6 @@ from inflate_lib.descriptors.shape import (
     support_function,
 )
 from inflate_lib.mechanics.stress import largest_stretch, von_mises
-
-if TYPE_CHECKING:
-    from inflate_lib.descriptors.shape import Shape
 
 _registry: dict[str, "Descriptor"] = {}
 
@@ -150,7 +148,7 @@ class Descriptor:
         """Whether it is one number that the deformed nodes alone tell."""
         return self.is_basic and self.length == 1 and self.of_nodes
 
-    def of(self, shape: "Shape") -> np.ndarray:
+    def of(self, shape: Shape) -> np.ndarray:
         """The value for a :class:`inflate_lib.descriptors.Shape`, in the shape of `sizes`."""
         shape_of_value = tuple(self.sizes.values())
         if shape.result is None and not self.of_nodes:

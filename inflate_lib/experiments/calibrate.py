@@ -8,9 +8,9 @@ from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import whole_number, workers
@@ -25,9 +25,6 @@ from inflate_lib.models.reach import save_reach
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.weights import STUDENTS, Model
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _N_ASKED = 300  # structures drawn to fit g
 
 
@@ -37,7 +34,7 @@ def calibrate(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
 
 
 def calibrate_all(
-    models: Mapping, data: "xr.Dataset", n: int = _N_ASKED, seed: int = 0, n_jobs: int = -1
+    models: Mapping, data: xr.Dataset, n: int = _N_ASKED, seed: int = 0, n_jobs: int = -1
 ) -> dict[str, Model]:
     """The same models, name → :class:`inflate_lib.models.Model`, each calibrated; as they are where n is 0.
 
@@ -55,7 +52,7 @@ def calibrate_all(
 
 
 def calibrate_weights(
-    folder: Path, data: "xr.Dataset", recipe: Recipe, names: Sequence[str] | None = None
+    folder: Path, data: xr.Dataset, recipe: Recipe, names: Sequence[str] | None = None
 ) -> dict[str, Model]:
     """Measure how the models in a folder answer, and write what :func:`.weights.load_model` needs beside them.
 

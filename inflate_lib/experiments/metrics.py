@@ -4,18 +4,15 @@ Intervals are percentile bootstrap intervals (Efron & Tibshirani 1993, chapter 1
 again from resamples of the structures, and the range that holds the middle 95 % of the results."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from inflate_lib._checks import share, whole_number
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 
-if TYPE_CHECKING:
-    import xarray as xr
 
-
-def errors(experiment: "xr.Dataset", descriptor: str) -> np.ndarray:
+def errors(experiment: xr.Dataset, descriptor: str) -> np.ndarray:
     """Distance of what was achieved from what was asked for, one number per structure.
 
     Parameters

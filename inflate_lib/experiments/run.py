@@ -7,9 +7,9 @@ can be judged in the same form.
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from inflate_lib import _progress, paths
 from inflate_lib._cache import cached, digest, step_version
@@ -22,26 +22,22 @@ from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import PARTS, added_version, columns
 from inflate_lib.diffusion import generate, storage
 from inflate_lib.diffusion.randomness import seed_for
+from inflate_lib.models import Model
 from inflate_lib.structures import labels
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from inflate_lib.models import Model
 
 _WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for a drawing to be one structure
 PIECE = 128  # structures generated at a time, which is what a killed run can lose
 
 
 def run_experiment(
-    model: "Model",
+    model: Model,
     targets: np.ndarray,
     n_per_target: int = 50,
     seed: int = 0,
     descriptor: str | None = None,
     n_jobs: int = -1,
     extrapolate: bool = False,
-) -> "xr.Dataset":
+) -> xr.Dataset:
     """Generate structures for each target, inflate and describe them (paper sec. 2.3).
 
     Parameters
@@ -112,13 +108,13 @@ def judge_once(step, draw, descriptor, targets, level, key, n_jobs=-1):
 
 
 def run_held_out(
-    model: "Model",
-    data: "xr.Dataset",
+    model: Model,
+    data: xr.Dataset,
     seed: int = 0,
     descriptor: str | None = None,
     n_jobs: int = -1,
     n: int | None = None,
-) -> "xr.Dataset":
+) -> xr.Dataset:
     """One structure for each held-out structure in the training range: behind every accuracy that is stated.
 
     The model card, README and the chapters ask in this way, with the seed and the sampling of the recipe, and so state
@@ -146,7 +142,7 @@ def judge(
     level: np.ndarray | None = None,
     n_jobs: int = -1,
     folder: Path | None = None,
-) -> "xr.Dataset":
+) -> xr.Dataset:
     """Label, inflate and describe images that were drawn for targets.
 
     Parameters
@@ -227,7 +223,7 @@ def _target_range(model, descriptor):
 
 
 def held_out_targets(
-    data: "xr.Dataset", descriptor: str, model: "Model | None" = None, n: int | None = None, seed: int = 0
+    data: xr.Dataset, descriptor: str, model: Model | None = None, n: int | None = None, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Targets that real structures reach which no model was trained on, so that each can be achieved.
 

@@ -6,18 +6,15 @@ beside them, with the reasons. Intervals are those of :func:`inflate_lib.experim
 
 from collections.abc import Iterable
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from inflate_lib._checks import whole_number
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import bootstrap, errors, r_squared
 from inflate_lib.mechanics.buildable import Flaw
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 class _Failure(StrEnum):
@@ -37,9 +34,9 @@ _FAILURES |= {"structure does not fit": _Failure.TOO_LARGE, "no equilibrium": _F
 
 
 def scores(
-    experiment: "xr.Dataset",
+    experiment: xr.Dataset,
     descriptor: str,
-    data: "xr.Dataset",
+    data: xr.Dataset,
     by_target: bool = False,
     seed: int = 0,
     n_resamples: int = 1000,
@@ -128,7 +125,7 @@ def score(table, measure):
     return float(table.set_index("measure").loc[measure, "value"])
 
 
-def accuracy(experiment: "xr.Dataset", descriptor: str) -> pd.DataFrame:
+def accuracy(experiment: xr.Dataset, descriptor: str) -> pd.DataFrame:
     """How close the structures of an experiment come to their targets, target by target.
 
     Parameters
@@ -175,7 +172,7 @@ def accuracy(experiment: "xr.Dataset", descriptor: str) -> pd.DataFrame:
     return pd.DataFrame([*rows, everything]).reindex(columns=[*rows[0], "R²"])
 
 
-def failure_reasons(experiments: "Iterable[xr.Dataset]") -> pd.Series:
+def failure_reasons(experiments: Iterable[xr.Dataset]) -> pd.Series:
     """Why structures are not valid, counted over several experiments, or data sets (valid: what converges).
 
     Returns
@@ -187,7 +184,7 @@ def failure_reasons(experiments: "Iterable[xr.Dataset]") -> pd.Series:
     return pd.Series([_failure(str(reason)) for reason in reasons], dtype=object).value_counts()
 
 
-def flaws(experiments: "Iterable[xr.Dataset]") -> pd.Series:
+def flaws(experiments: Iterable[xr.Dataset]) -> pd.Series:
     """Why valid structures cannot be built, counted over several experiments, or data sets (valid: what converges).
 
     Returns

@@ -5,10 +5,9 @@ been flipped and moved to lie on the other as well as it can. The distance is th
 pixels, on the scale from 0 (black) to 1 (white).
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, step_version
@@ -16,9 +15,6 @@ from inflate_lib._checks import whole_number
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.structures.augmentation import MAX_SHIFT, apply_variants
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def nearest(images, library, max_shift=MAX_SHIFT, progress_text=""):
@@ -56,7 +52,7 @@ def nearest(images, library, max_shift=MAX_SHIFT, progress_text=""):
     return np.sqrt((apart**2).mean(axis=1)), variant
 
 
-def novelty(images: np.ndarray, data: "xr.Dataset", rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def novelty(images: np.ndarray, data: xr.Dataset, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance of each image from the nearest of the structures with numbers `rows` in a data set; kept in the cache.
 
     Parameters
@@ -104,7 +100,7 @@ def _mean_pairwise(distances, rows=None):
 
 
 def diversity(
-    experiment: "xr.Dataset", descriptor: str, data: "xr.Dataset", seed: int = 0, n_resamples: int = 1000
+    experiment: xr.Dataset, descriptor: str, data: xr.Dataset, seed: int = 0, n_resamples: int = 1000
 ) -> pd.DataFrame:
     """How different the structures of each target are, beside as many real ones that come closest to the target.
 

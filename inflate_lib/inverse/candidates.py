@@ -4,23 +4,17 @@ Whatever they come from, the search (:mod:`inflate_lib.inverse.search`) labels, 
 chooses among them, in one and the same way: so the two can be compared, and can work together.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import xarray as xr
 
 from inflate_lib.datasets.split import training_rows
-from inflate_lib.descriptors import descriptor_matrix, get_descriptor
+from inflate_lib.descriptors import Descriptors, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
+from inflate_lib.inverse.constraints import Constraints
+from inflate_lib.inverse.targets import Targets
 from inflate_lib.models.surrogate import centred
+from inflate_lib.models.weights import Model
 from inflate_lib.structures.labels import FRAME, OUTSIDE, VOID, WALL
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from inflate_lib.descriptors import Descriptors
-    from inflate_lib.inverse.constraints import Constraints
-    from inflate_lib.inverse.targets import Targets
-    from inflate_lib.models.weights import Model
 
 STARTS = ("both", "model", "training")
 
@@ -38,7 +32,7 @@ class Drawings:
 
     name = "model"
 
-    def __init__(self, model: "Model", targets: "Targets", seed: int):
+    def __init__(self, model: Model, targets: Targets, seed: int):
         self.model, self.seed = model, seed
         self.wanted = targets.vector(model.name)
         self.aim = np.clip(self.wanted, model.trained.condition_min, model.trained.condition_max)
@@ -50,7 +44,7 @@ class Drawings:
         images = generate(self.model.trained, np.tile(self.aim, (size, 1)), seed=seed, **self.model.sampling)
         return images, [batch | {"row": row} for row in range(size)]
 
-    def learn(self, achieved: "list[Descriptors]") -> None:
+    def learn(self, achieved: list[Descriptors]) -> None:
         """Correct what the model is told by what the last batch achieved."""
         if achieved:
             vectors = [shape.vector(self.model.name) for shape in achieved]
@@ -74,7 +68,7 @@ class Neighbours:
 
     name = "training"
 
-    def __init__(self, data: "xr.Dataset", targets: "Targets", constraints: "Constraints"):
+    def __init__(self, data: xr.Dataset, targets: Targets, constraints: Constraints):
         rows = training_rows(data)
         self.cavities = data["label"].values[rows] == VOID
         errors = []
@@ -100,7 +94,7 @@ class Neighbours:
         ]
         return images.astype(float), origins
 
-    def learn(self, achieved: "list[Descriptors]") -> None:
+    def learn(self, achieved: list[Descriptors]) -> None:
         """Nothing: what they inflate to is known."""
 
 

@@ -5,7 +5,6 @@ pixels, so that a length counts in whole pixels, rounded up.
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.path import Path
@@ -13,11 +12,9 @@ from matplotlib.transforms import Bbox
 from scipy import ndimage
 
 from inflate_lib._checks import flag, number, numbers, positive_number
+from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.mechanics.mesh import boundary_loops
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, WALL, main_component
-
-if TYPE_CHECKING:
-    from inflate_lib.mechanics.inflation import Inflation
 
 _ROUNDING = 1e-9  # pixels; so that 2/28 is two pixels and not three
 
@@ -83,7 +80,7 @@ class Constraints:
             return "keep_out"
         return ""
 
-    def broken_when_inflated(self, result: "Inflation") -> str:
+    def broken_when_inflated(self, result: Inflation) -> str:
         """Name of the first demand that a structure breaks at a load step, or an empty text."""
         if self.keep_out is not None:
             left, bottom, right, top = self.keep_out

@@ -9,7 +9,6 @@ import platform
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
@@ -18,21 +17,19 @@ import inflate_lib
 from inflate_lib._checks import positive_number
 from inflate_lib._files import check_outputs, file_digest, hand_out_folder, locked, made, naming, sweep, written_before
 from inflate_lib._provenance import package_versions
+from inflate_lib.inverse.search import Designs
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.vtk import vtk_files, write_vtk
 from inflate_lib.mechanics.inflation import PRESSURE, load_history
 from inflate_lib.mechanics.mesh import boundary_loops
 from inflate_lib.structures.labels import FRAME, WALL, point_joints
 
-if TYPE_CHECKING:
-    from inflate_lib.inverse.search import Designs
-
 _SIZE_MM, _DEPTH_MM, _BASE_MM = 100.0, 20.0, 3.0
 _SEARCH_FILES = ("contact_sheet.png", "designs.csv", "designs.json")
 
 
 def save_designs(
-    designs: "Designs",
+    designs: Designs,
     folder: str | Path,
     size_mm: float = _SIZE_MM,
     depth_mm: float = _DEPTH_MM,
@@ -101,7 +98,7 @@ def claimed_folder(
         yield folder
 
 
-def write_designs(designs: "Designs", folder: Path, size_mm: float = _SIZE_MM, depth_mm: float = _DEPTH_MM) -> None:
+def write_designs(designs: Designs, folder: Path, size_mm: float = _SIZE_MM, depth_mm: float = _DEPTH_MM) -> None:
     """Write designs into a folder from :func:`claimed_folder`; see :func:`save_designs`."""
     import matplotlib.pyplot as plt
 

@@ -12,10 +12,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from joblib import Parallel, delayed
 
 from inflate_lib import paths
@@ -35,9 +35,6 @@ from inflate_lib.models.reach import check_reach
 from inflate_lib.models.recipe import load_recipe
 from inflate_lib.models.surrogate import centred
 from inflate_lib.models.weights import Model, load_model, trained_models
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _PREFERENCES = ("low-stress", "high-stress")
 _BATCH = 64  # candidates
@@ -166,7 +163,7 @@ def design(
     *,
     model: Model | None = None,
     profile: str | None = None,
-    data: "xr.Dataset | None" = None,
+    data: xr.Dataset | None = None,
     start_from: str = "both",
     constraints: Constraints | None = None,
     tolerance: float = 0.01,

@@ -2,7 +2,6 @@
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, ImageOps, ImageSequence, UnidentifiedImageError
@@ -10,11 +9,9 @@ from PIL import Image, ImageOps, ImageSequence, UnidentifiedImageError
 from inflate_lib._checks import choice, positive_number
 from inflate_lib._files import hand_out
 from inflate_lib.mechanics import stress
+from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.structures.labels import FRAME
-
-if TYPE_CHECKING:
-    from inflate_lib.mechanics.inflation import Inflation
 
 _ONE_PICTURE = ("MPO", "PSD")  # formats whose frames are views or layers of the same picture
 
@@ -37,7 +34,7 @@ def reached_steps(result):
     return n
 
 
-def write_picture(result: "Inflation", path: str | Path, quantity: str = "von-mises") -> Path:
+def write_picture(result: Inflation, path: str | Path, quantity: str = "von-mises") -> Path:
     """Picture of the undeformed and the deformed structure, coloured by a quantity.
 
     Parameters
@@ -81,7 +78,7 @@ def write_picture(result: "Inflation", path: str | Path, quantity: str = "von-mi
 
 
 def write_animation(
-    result: "Inflation", path: str | Path, quantity: str = "von-mises", frames_per_second: int = 5
+    result: Inflation, path: str | Path, quantity: str = "von-mises", frames_per_second: int = 5
 ) -> Path:
     """Animated GIF of the load steps, from the undeformed structure to the last equilibrium; same arguments."""
     import matplotlib.pyplot as plt

@@ -1,7 +1,6 @@
 """From an inflated structure to a ParaView series."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
@@ -9,12 +8,10 @@ import numpy as np
 from inflate_lib._files import hand_out_folder, naming
 from inflate_lib.io.pictures import reached_steps, with_ending
 from inflate_lib.mechanics import stress
-
-if TYPE_CHECKING:
-    from inflate_lib.mechanics.inflation import Inflation
+from inflate_lib.mechanics.inflation import Inflation
 
 
-def write_vtk(result: "Inflation", path: str | Path) -> list[Path]:
+def write_vtk(result: Inflation, path: str | Path) -> list[Path]:
     """ParaView series: a ``.vtu`` for each load step, t = 0 included, and the ``.pvd`` that lists them with times.
 
     Point data: ``displacement`` (3). Cell data, means over the Gauss points: ``F``, ``P`` and ``cauchy_stress`` (9, row

@@ -15,22 +15,18 @@ a pressure does as much work on one side of such an element as on the other.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
 
 from inflate_lib.mechanics import _kernels
-from inflate_lib.mechanics.inflation import assemble, build_system
+from inflate_lib.mechanics.inflation import Inflation, assemble, build_system
 from inflate_lib.structures.labels import THICKNESS, VOID, WALL
-
-if TYPE_CHECKING:
-    from inflate_lib.mechanics.inflation import Inflation
 
 _SQUARE = np.ones((2 * THICKNESS + 1, 2 * THICKNESS + 1))  # that the cavity is grown by to get the wall
 
 
-def sensitivities(result: "Inflation", gradient: Callable[[np.ndarray], np.ndarray], step: int = -1) -> np.ndarray:
+def sensitivities(result: Inflation, gradient: Callable[[np.ndarray], np.ndarray], step: int = -1) -> np.ndarray:
     """Derivatives of a quantity, such as a descriptor, with respect to the share of each element's energy.
 
     Parameters

@@ -11,16 +11,13 @@ What happens between two load steps is not looked at; more load steps see more.
 """
 
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
 from inflate_lib.mechanics.contact import first_crossing
+from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.mechanics.mesh import boundary_edges
-
-if TYPE_CHECKING:
-    from inflate_lib.mechanics.inflation import Inflation
 
 
 class Flaw(StrEnum):
@@ -33,7 +30,7 @@ class Flaw(StrEnum):
     CROSSING_WALLS = "Walls cross at one of the load steps."
 
 
-def find_flaw(result: "Inflation") -> Flaw | None:
+def find_flaw(result: Inflation) -> Flaw | None:
     """Why an inflated structure cannot be built, or None where it can be.
 
     Parameters

@@ -6,18 +6,14 @@ no node cross, wall lies upon wall. Nothing can lie upon something else unseen, 
 long as no element is turned over, a place that is covered twice lies behind a border that crosses a border.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
 
+from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.mechanics.mesh import boundary_edges
 
-if TYPE_CHECKING:
-    from inflate_lib.mechanics.inflation import Inflation
 
-
-def self_contact(result: "Inflation", step: int = -1) -> int:
+def self_contact(result: Inflation, step: int = -1) -> int:
     """Number of pairs of boundary edges that cross one another in the deformed structure.
 
     Edges that share a node are left out, and so are edges that merely touch (an end of one lies on the other, or they
@@ -37,7 +33,7 @@ def self_contact(result: "Inflation", step: int = -1) -> int:
     return len(crossing_edges(result, step))
 
 
-def first_contact(result: "Inflation") -> int | None:
+def first_contact(result: Inflation) -> int | None:
     """Index of the first load step at which walls cross one another, or None where they never do.
 
     Every load step is looked at, since walls may cross and part again, and none of the states between two of them.

@@ -7,10 +7,10 @@ another one needed it before.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pandas as pd
 import torch
+import xarray as xr
 from joblib import Parallel, delayed, effective_n_jobs
 
 from inflate_lib._cache import cached, digest, step_version
@@ -23,9 +23,6 @@ from inflate_lib.diffusion.training import choose_device
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.remote import train_and_test, write_pack
 from inflate_lib.models.surrogate import Surrogate, blends_of, critic, train_surrogate
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def training_set(descriptor: str, recipe: Recipe, data) -> TrainingSet:
@@ -154,7 +151,7 @@ def judge_of(data, recipe: Recipe) -> Surrogate:
 
 
 def train_models(
-    names: Sequence[str], recipe: Recipe, data: "xr.Dataset", log: Path | None = None
+    names: Sequence[str], recipe: Recipe, data: xr.Dataset, log: Path | None = None
 ) -> dict[str, Path | None]:
     """Train several models, or find them trained in the cache: :func:`trained_model_file` for each, side by side.
 

@@ -5,9 +5,10 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from inflate_lib import paths
 from inflate_lib._checks import choice, numbers, whole_number
@@ -20,9 +21,6 @@ from inflate_lib.models import RETRAIN, reach
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import PURPOSES, Recipe
 from inflate_lib.models.train import train_models, training_set
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 STUDENTS = "students"  # folder beside the weights, with those into which guidance was distilled
 
@@ -220,7 +218,7 @@ def load_model(name: str = JOINT, profile: str = "laptop") -> Model:
     return replace(model, others=others)
 
 
-def committed_weights(descriptor: str, recipe: Recipe, data: "xr.Dataset") -> tuple[Path | None, str]:
+def committed_weights(descriptor: str, recipe: Recipe, data: xr.Dataset) -> tuple[Path | None, str]:
     """Find weights in ``data/pretrained`` that were trained as a recipe says, on these very data.
 
     The images must be the same to the last bit; the descriptors, whose last digits depend on the processor, must agree
@@ -250,7 +248,7 @@ def committed_weights(descriptor: str, recipe: Recipe, data: "xr.Dataset") -> tu
     return None, why_not
 
 
-def trained_models(names: Sequence[str], recipe: Recipe, data: "xr.Dataset") -> dict[str, Model]:
+def trained_models(names: Sequence[str], recipe: Recipe, data: xr.Dataset) -> dict[str, Model]:
     """The models of several descriptors: committed weights where there are any, else trained, or found in the cache.
 
     A line of text says which. With the environment variable ``INFLATE_RETRAIN`` (``inflate reproduce --retrain``)

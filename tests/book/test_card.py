@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from inflate_lib import load_model, paths
+from inflate_lib.book.card import write_card
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.datasets.split import held_out
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.experiments import calibrate
 from inflate_lib.experiments.calibrate import calibrate_weights
-from inflate_lib.experiments.card import write_card
 from inflate_lib.experiments.run import inside, run_experiment, run_held_out
 from inflate_lib.experiments.tables import scores, with_interval
 from inflate_lib.models.calibration import Calibration

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 import torch
+import xarray as xr
 
 from inflate_lib._checks import whole_number
 from inflate_lib._files import check_outputs, hand_out
@@ -19,9 +19,6 @@ from inflate_lib.experiments.calibrate import calibrate_weights
 from inflate_lib.experiments.run import held_out_seed, run_held_out
 from inflate_lib.experiments.tables import score, scores, with_interval
 from inflate_lib.models.recipe import Recipe
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _CARD = """# Weights of the profile `{profile}`
 
@@ -95,7 +92,7 @@ _MEASURES = {
 }
 
 
-def write_card(folder: Path, data: "xr.Dataset", recipe: Recipe, n: int | None = None) -> Path:
+def write_card(folder: Path, data: xr.Dataset, recipe: Recipe, n: int | None = None) -> Path:
     """Measure the models in a folder on held-out targets, and write the card, ``README.md``, beside them.
 
     They are calibrated first, see :func:`.calibrate_weights`, whose parameters these are. The measured numbers also go
