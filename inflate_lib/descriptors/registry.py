@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -223,7 +224,8 @@ def register(descriptor: Descriptor) -> Descriptor:
         raise ValueError(f"{descriptor.name} is a descriptor of the library's own; choose another name")
     if descriptor.is_basic and descriptor.variable in _TAKEN:
         raise ValueError(f"descriptor {descriptor.name}: data sets have a variable {descriptor.variable} already")
-    return _add(descriptor)
+    _registry[descriptor.name] = descriptor
+    return descriptor
 
 
 def registered() -> tuple[Descriptor, ...]:
@@ -262,11 +264,6 @@ def implied(wanted: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return found
 
 
-def _add(descriptor):
-    _registry[descriptor.name] = descriptor
-    return descriptor
-
-
 def _source(descriptor):
     try:
         return inspect.getsource(descriptor.measure)
@@ -280,16 +277,12 @@ def _source(descriptor):
 # --- the library's own ---------------------------------------------------------------------------------------------
 
 
-def _height(shape):
-    return np.ptp(shape.nodes[:, 1])
+def _own(name, symbol, measure=None, **properties):
+    _registry[name] = Descriptor(name, symbol, measure, **properties)
 
 
-def _width(shape):
-    return np.ptp(shape.nodes[:, 0])
-
-
-def _area(shape):
-    return shape.hull_area
+def _extent(direction, shape):
+    return np.ptp(shape.nodes[:, direction])
 
 
 def _axis(shape):
@@ -356,12 +349,10 @@ def _draw_width(ax, target, nodes, **style):
         ax.plot([x, x], [bottom, top], linestyle="--", **style)
 
 
-def _draw_box(ax, target, nodes, color=None, **style):
+def _draw_box(ax, target, nodes, **style):
     """A rectangle on the lowest node."""
-    (left, bottom), (right, _) = nodes.min(axis=0), nodes.max(axis=0)
-    (h, w), middle = target, (left + right) / 2
-    x, y = middle + w / 2 * np.array([-1, 1, 1, -1]), bottom + h * np.array([0, 0, 1, 1])
-    ax.fill(x, y, fill=False, edgecolor=color, linestyle="--", clip_on=False, **style)
+    h, w = target
+    _draw_polygon(ax, np.array([(-w / 2, 0), (w / 2, 0), (w / 2, h), (-w / 2, h)]), nodes, **style)
 
 
 def _draw_axis(ax, target, nodes, **style):
@@ -372,125 +363,113 @@ def _draw_axis(ax, target, nodes, **style):
     ax.plot(*points.T, **(style | own))
 
 
-def _draw_outline(ax, target, nodes, color=None, **style):
-    """A polygon on the ground, about the middle."""
+def _draw_outline(ax, target, nodes, **style):
+    _draw_polygon(ax, outline_corners(target), nodes, **style)
+
+
+def _draw_polygon(ax, corners, nodes, color=None, **style):
+    """Corners (k, 2), moved to the ground and the middle of the structure."""
     (left, bottom), (right, _) = nodes.min(axis=0), nodes.max(axis=0)
-    x, y = (outline_corners(target) + [(left + right) / 2, bottom]).T
+    x, y = (corners + [(left + right) / 2, bottom]).T
     ax.fill(x, y, fill=False, edgecolor=color, linestyle="--", clip_on=False, **style)
 
 
-_add(
-    Descriptor(
-        "height",
-        "h",
-        _height,
-        meaning="deformed height h",
-        unit="side",
-        check=positive_number,
-        gradient=partial(_extent_gradient, 1),
-        draw=_draw_height,
-    )
+_own(
+    "height",
+    "h",
+    partial(_extent, 1),
+    meaning="deformed height h",
+    unit="side",
+    check=positive_number,
+    gradient=partial(_extent_gradient, 1),
+    draw=_draw_height,
 )
-_add(
-    Descriptor(
-        "width",
-        "w",
-        _width,
-        meaning="deformed width w",
-        unit="side",
-        check=positive_number,
-        gradient=partial(_extent_gradient, 0),
-        draw=_draw_width,
-    )
+_own(
+    "width",
+    "w",
+    partial(_extent, 0),
+    meaning="deformed width w",
+    unit="side",
+    check=positive_number,
+    gradient=partial(_extent_gradient, 0),
+    draw=_draw_width,
 )
-_add(
-    Descriptor(
-        "box",
-        "(h, w)",
-        title="bounding box",
-        unit="side",
-        parts=("height", "width"),
-        bounds={"area": _area_of_box},
-        draw=_draw_box,
-    )
+_own(
+    "box",
+    "(h, w)",
+    title="bounding box",
+    unit="side",
+    parts=("height", "width"),
+    bounds={"area": _area_of_box},
+    draw=_draw_box,
 )
-_add(
-    Descriptor(
-        "area",
-        "A",
-        _area,
-        title="hull area",
-        meaning="area A of the deformed convex hull",
-        unit="side²",
-        variable="hull_area",
-        check=positive_number,
-        gradient=_hull_gradient,
-    )
+_own(
+    "area",
+    "A",
+    attrgetter("hull_area"),
+    title="hull area",
+    meaning="area A of the deformed convex hull",
+    unit="side²",
+    variable="hull_area",
+    check=positive_number,
+    gradient=_hull_gradient,
 )
 # Stress and stretch are told as they are: over MNIST's sevens their skewness is 0.5 and 0.3. Logarithms of the
 # stress have one of -0.5, and would leave less of the scaled range [0, 1] to the bulk, not more.
-_add(
-    Descriptor(
-        "stress",
-        "σ",
-        _stress,
-        title="peak stress",
-        meaning="largest von Mises stress of any element, in the units of lambda and mu",
-        components=("stress",),
-        variable="peak_stress",
-        check=positive_number,
-        of_nodes=False,
-    )
+_own(
+    "stress",
+    "σ",
+    _stress,
+    title="peak stress",
+    meaning="largest von Mises stress of any element, in the units of lambda and mu",
+    components=("stress",),
+    variable="peak_stress",
+    check=positive_number,
+    of_nodes=False,
 )
-_add(
-    Descriptor(
-        "stretch",
-        "s",
-        _stretch,
-        title="peak stretch",
-        meaning="largest principal stretch of any element",
-        components=("stretch",),
-        variable="peak_stretch",
-        check=partial(number, least=1),
-        of_nodes=False,
-    )
+_own(
+    "stretch",
+    "s",
+    _stretch,
+    title="peak stretch",
+    meaning="largest principal stretch of any element",
+    components=("stretch",),
+    variable="peak_stretch",
+    check=partial(number, least=1),
+    of_nodes=False,
 )
-_add(
-    Descriptor(
-        "axis",
-        "axis",
-        _axis,
-        title="medial axis",
-        meaning="medial axis of the deformed shape, bottom to top, first point at the origin",
-        components=tuple(f"{x} of point {k}" for k in range(AXIS_POINTS) for x in "xy"),
-        unit="side",
-        variable="medial_axis",
-        sizes={"point": AXIS_POINTS, "axis": 2},
-        flip=mirror_axis,
-        error=POINT_DISTANCE,
-        check=check_axis,
-        bounds={"height": _height_of_axis, "width": _width_of_axis},
-        draw=_draw_axis,
-    )
+_own(
+    "axis",
+    "axis",
+    _axis,
+    title="medial axis",
+    meaning="medial axis of the deformed shape, bottom to top, first point at the origin",
+    components=tuple(f"{x} of point {k}" for k in range(AXIS_POINTS) for x in "xy"),
+    unit="side",
+    variable="medial_axis",
+    sizes={"point": AXIS_POINTS, "axis": 2},
+    flip=mirror_axis,
+    error=POINT_DISTANCE,
+    check=check_axis,
+    bounds={"height": _height_of_axis, "width": _width_of_axis},
+    draw=_draw_axis,
 )
-_add(
-    Descriptor(
-        "outline",
-        "H(θ)",
-        _outline,
-        meaning="support function of the deformed convex hull, from the ground below its middle",
-        components=tuple(f"H at {360 * k / OUTLINE_DIRECTIONS:g}°" for k in range(OUTLINE_DIRECTIONS)),
-        unit="side",
-        sizes={"direction": OUTLINE_DIRECTIONS},
-        flip=mirror_outline,
-        error=OUTLINE_DISTANCE,
-        check=check_outline,
-        bounds={"height": _height_of_outline, "width": _width_of_outline},
-        draw=_draw_outline,
-    )
+_own(
+    "outline",
+    "H(θ)",
+    _outline,
+    meaning="support function of the deformed convex hull, from the ground below its middle",
+    components=tuple(f"H at {360 * k / OUTLINE_DIRECTIONS:g}°" for k in range(OUTLINE_DIRECTIONS)),
+    unit="side",
+    sizes={"direction": OUTLINE_DIRECTIONS},
+    flip=mirror_outline,
+    error=OUTLINE_DISTANCE,
+    check=check_outline,
+    bounds={"height": _height_of_outline, "width": _width_of_outline},
+    draw=_draw_outline,
 )
 _JOINT = ("height", "width", "area", "stress", "stretch", "axis", "outline")
-_add(Descriptor("joint", "joint", parts=_JOINT, any_part=True))
+_own("joint", "joint", parts=_JOINT, any_part=True)
 
 OWN = frozenset(_registry)
 #: Variables of data sets that no further descriptor may have.
