@@ -272,7 +272,7 @@ def versions(folder):
         ("alternatives/autoencoder.py", "LATENT = 4", "LATENT = 5", "alternative"),
         ("plotting/style.py", "17.0", "18.0", "notebook"),
         ("book/page.py", "dpi: int = 200", "dpi: int = 100", "notebook"),
-        ("diffusion/_logs.py", "no TensorBoard logs", "TensorBoard keeps no logs", None),
+        ("diffusion/loop.py", "no TensorBoard logs", "TensorBoard keeps no logs", None),
         ("mechanics/inflation.py", '"""', '"""In other words: ', None),
         ("book/pdf.py", "1800", "3600", None),
         ("cli/design.py", "max=1000", "max=2000", None),

@@ -13,9 +13,9 @@ from inflate_lib import _files, paths
 from inflate_lib._files import check_outputs, draft, hand_out, hand_out_folder, naming
 from inflate_lib.book.card import write_card
 from inflate_lib.diffusion import storage
-from inflate_lib.diffusion._logs import Log
+from inflate_lib.diffusion.loop import _Log
 from inflate_lib.models.reach import check_reach_file
-from inflate_lib.models.remote import write_pack
+from inflate_lib.models.train import pack
 
 
 @pytest.fixture(autouse=True)
@@ -238,8 +238,8 @@ def test_files_of_a_kind_replace_their_kind_alone(tmp_path):
     before = {path.name: path.read_text() for path in tmp_path.iterdir()}
     for write_it in (
         lambda: storage.check_files([tmp_path / "model.safetensors"], "model"),
-        lambda: write_pack(tmp_path / "pack.safetensors", np.ones(1), np.ones(1), np.ones(1), {}),
-        lambda: Log(tmp_path, 0),
+        lambda: pack(tmp_path / "pack.safetensors", ["height"], None, None),
+        lambda: _Log(tmp_path, 0),
         lambda: check_reach_file(tmp_path),
         lambda: write_card(tmp_path, None, None),
     ):

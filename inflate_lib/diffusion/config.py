@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 
 from inflate_lib._checks import choice, flag, number, whole_number
-from inflate_lib.diffusion.process import check_objective
+from inflate_lib.diffusion.process import OBJECTIVES
 from inflate_lib.diffusion.randomness import initialised
-from inflate_lib.diffusion.unet import UNet, check_conditioning
+from inflate_lib.diffusion.unet import CONDITIONINGS, UNet
 
 _ASIDE = ("device", "precision", "compile", "checkpoint_every", "log_every")
 
@@ -53,8 +53,8 @@ class TrainingConfig:
             raise ValueError(f"channels must be a list with the channels of each scale, not {self.channels!r}")
         if not isinstance(self.parts, list | tuple):
             raise ValueError(f"parts must be a list with the length of each part of the descriptor, not {self.parts!r}")
-        check_objective(self.objective)
-        check_conditioning(self.conditioning)
+        choice("objective", self.objective, OBJECTIVES)
+        choice("conditioning", self.conditioning, CONDITIONINGS)
         if (self.steps is None) == (self.epochs is None):
             raise ValueError("give the training budget as exactly one of steps and epochs")
         choice("learning_rate_decay", self.learning_rate_decay, ("constant", "cosine"))

@@ -12,11 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from inflate_lib._files import draft, naming
 from inflate_lib._progress import Progress
 from inflate_lib.diffusion import ranks, storage
-from inflate_lib.diffusion._logs import Log
 from inflate_lib.diffusion.randomness import random_generator
 
+_COLUMNS = ("step", "loss", "simple", "vlb", "seconds")  # of a log
 _WARMUP = 50  # steps, of :func:`fit`
 _PIECES = 20  # of a run of :func:`fit`, each with a checkpoint and an entry of the history
 
@@ -103,7 +104,7 @@ class Loop:
         if first and progress is not False:
             report = Progress(progress if isinstance(progress, str) else "training", self.total, "steps", self.step)
         if first and log is not None:
-            rows = Log(Path(log), self.step)
+            rows = _Log(Path(log), self.step)
         started = time.monotonic() - self.seconds
         done = self.step == self.total
         while not done:
@@ -187,6 +188,40 @@ class Loop:
         """Seconds in all, the device, and the median of the seconds of a step."""
         step = {"seconds_per_step": float(np.median(self.per_step))} if self.per_step else {}
         return {"seconds": round(self.seconds, 1), "device": device_name(self.device), **step}
+
+
+class _Log:
+    """``history.csv``, and TensorBoard events where the package tensorboard is installed, in a folder.
+
+    The rows are those of the run's history and the seconds spent until then. What a killed run logged after its last
+    checkpoint, which ends at ``step``, is dropped: the run repeats it.
+    """
+
+    def __init__(self, folder: Path, step: int):
+        self.path, heading = folder / "history.csv", ",".join(_COLUMNS) + "\n"
+        before = self.path.read_text(errors="replace").splitlines(keepends=True) if self.path.exists() else []
+        if before and before[0] != heading:
+            raise FileExistsError(f"{self.path} is there already, and no log of a training: give another folder for it")
+        whole = (line for line in before[1:] if line.endswith("\n") and line.count(",") == len(_COLUMNS) - 1)
+        kept = [line for line in whole if int(line.split(",")[0]) <= step]
+        with draft(self.path) as place:
+            place.write_text(heading + "".join(kept))
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            print("no TensorBoard logs: the package tensorboard is not installed (pip install tensorboard)")
+            self.events = None
+        else:
+            self.events = SummaryWriter(str(folder), purge_step=step + 1)
+
+    def add(self, **row: float) -> None:
+        """Append a row, by the names of ``_COLUMNS``."""
+        with naming(self.path), self.path.open("a") as file:
+            file.write(",".join(str(row[name]) for name in _COLUMNS) + "\n")
+        if self.events is not None:
+            for name in _COLUMNS[1:]:
+                self.events.add_scalar(name, row[name], row["step"])
+            self.events.flush()
 
 
 def device_name(device: torch.device) -> str:

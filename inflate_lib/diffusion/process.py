@@ -17,12 +17,7 @@ from inflate_lib._checks import choice
 from inflate_lib.diffusion.schedule import Schedule, at
 
 NATS_PER_BIT = math.log(2)
-_OBJECTIVES = ("epsilon", "v")
-
-
-def check_objective(objective: str) -> None:
-    """Raise a ValueError unless ``objective`` is one of ``_OBJECTIVES``."""
-    choice("objective", objective, _OBJECTIVES)
+OBJECTIVES = ("epsilon", "v")
 
 
 # --- forward process ---------------------------------------------------------------------------------------------
@@ -35,7 +30,7 @@ def add_noise(schedule: Schedule, x0: Tensor, t: Tensor, noise: Tensor) -> Tenso
 
 def training_target(schedule: Schedule, x0: Tensor, t: Tensor, noise: Tensor, objective: str) -> Tensor:
     """What the network should answer at x_t: the noise, or the velocity."""
-    check_objective(objective)
+    choice("objective", objective, OBJECTIVES)
     if objective == "epsilon":
         return noise
     return at(schedule.alpha_bars.sqrt(), t, x0) * noise - at((1 - schedule.alpha_bars).sqrt(), t, x0) * x0
@@ -43,7 +38,7 @@ def training_target(schedule: Schedule, x0: Tensor, t: Tensor, noise: Tensor, ob
 
 def predicted_x0(schedule: Schedule, x: Tensor, t: Tensor, prediction: Tensor, objective: str) -> Tensor:
     """The clean image that a prediction at x_t implies."""
-    check_objective(objective)
+    choice("objective", objective, OBJECTIVES)
     signal, spread = at(schedule.alpha_bars.sqrt(), t, x), at((1 - schedule.alpha_bars).sqrt(), t, x)
     if objective == "epsilon":
         return (x - spread * prediction) / signal
@@ -52,7 +47,7 @@ def predicted_x0(schedule: Schedule, x: Tensor, t: Tensor, prediction: Tensor, o
 
 def predicted_noise(schedule: Schedule, x: Tensor, t: Tensor, prediction: Tensor, objective: str) -> Tensor:
     """The noise that a prediction at x_t implies."""
-    check_objective(objective)
+    choice("objective", objective, OBJECTIVES)
     if objective == "epsilon":
         return prediction
     return at((1 - schedule.alpha_bars).sqrt(), t, x) * x + at(schedule.alpha_bars.sqrt(), t, x) * prediction
@@ -134,7 +129,7 @@ def vlb_weights(schedule: Schedule, objective: str = "epsilon", cap_last: bool =
     ``cap_last``: the cosine schedule's last β sits at its cap of 0.999, which makes the last weight (499.5) many
     times all others together although that step holds no signal; it is lowered to the weight of the step before.
     """
-    check_objective(objective)
+    choice("objective", objective, OBJECTIVES)
     weights = schedule.betas / (2 * schedule.alphas * (1 - schedule.alpha_bars))
     if objective == "v":  # ε − ε_θ = √ᾱ (v − v_θ)
         weights = weights * schedule.alpha_bars
@@ -149,7 +144,7 @@ def min_snr_weights(schedule: Schedule, objective: str, gamma: float) -> Tensor:
     In terms of x₀, the error of the noise weighs as SNR and that of the velocity as SNR + 1; dividing by these carries
     the weight over. Small γ spares the network the nearly clean images.
     """
-    check_objective(objective)
+    choice("objective", objective, OBJECTIVES)
     snr = schedule.signal_to_noise
     return snr.clamp(max=gamma) / (snr if objective == "epsilon" else snr + 1)
 

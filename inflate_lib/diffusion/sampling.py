@@ -64,27 +64,18 @@ def ddim_step(
     return stepped if noise is None or eta == 0 else stepped + variance.sqrt().item() * noise
 
 
-def _dpm_solver_step(
-    schedule: Schedule,
-    x0: Tensor,
-    x: Tensor,
-    t: int,
-    previous: int,
-    last: tuple[int, Tensor] | None,
-    eta: float = 0.0,
-    noise: Tensor | None = None,
-) -> Tensor:
-    """Step of DPM-Solver++(2M) from time t to ``previous`` (Lu et al. 2022, algorithm 2); with ``eta`` 1 of its SDE.
+def _extrapolated(schedule: Schedule, x0: Tensor, t: int, previous: int, last: tuple[int, Tensor] | None) -> Tensor:
+    """The estimate of x₀ with which a DDIM step is one of DPM-Solver++(2M) (Lu et al. 2022, algorithm 2), or its SDE.
 
-    It is the DDIM step, with the estimate of x₀ extrapolated half a step along ln SNR, from the one made at the step
-    before: ``last`` is that step's time and estimate. The first step has none, and the last one, to the clean image,
-    would be infinitely long on this scale: they are plain DDIM.
+    It is extrapolated half a step along ln SNR, from the one made at the step before: ``last`` is that step's time and
+    estimate. The first step has none, and the last one, to the clean image, would be infinitely long on this scale:
+    they are plain DDIM.
     """
-    if last is not None and previous >= 0:
-        log_snr = schedule.signal_to_noise.log()
-        ratio = (log_snr[previous] - log_snr[t]) / (log_snr[t] - log_snr[last[0]])
-        x0 = x0 + ratio.item() / 2 * (x0 - last[1])
-    return ddim_step(schedule, x0, x, t, previous, eta, noise)
+    if last is None or previous < 0:
+        return x0
+    log_snr = schedule.signal_to_noise.log()
+    ratio = (log_snr[previous] - log_snr[t]) / (log_snr[t] - log_snr[last[0]])
+    return x0 + ratio.item() / 2 * (x0 - last[1])
 
 
 def guided(net: Callable, x: Tensor, t: Tensor, conditions: Tensor, guidance: float) -> Tensor:
@@ -138,8 +129,8 @@ def denoise(
             x = ancestral_step(schedule, x0, x, t, next(noise))
         else:
             fresh = next(noise) if eta > 0 else None
-            x = _dpm_solver_step(schedule, x0, x, time, previous, last, eta, fresh)
-            last = (time, x0) if sampler == "dpm-solver++" else None  # without it, the step is that of DDIM
+            x = ddim_step(schedule, _extrapolated(schedule, x0, time, previous, last), x, time, previous, eta, fresh)
+            last = (time, x0) if sampler == "dpm-solver++" else None
         yield x
 
 

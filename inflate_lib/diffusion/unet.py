@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from inflate_lib._checks import choice, whole_number
 
-_CONDITIONINGS = ("scale-shift", "add")
+CONDITIONINGS = ("scale-shift", "add")
 
 
 def sinusoidal_embedding(t: Tensor, width: int) -> Tensor:
@@ -22,11 +22,6 @@ def sinusoidal_embedding(t: Tensor, width: int) -> Tensor:
     frequencies = torch.exp(-math.log(10_000) * torch.arange(width // 2, device=t.device) / (width // 2))
     angles = t.float()[:, None] * frequencies
     return torch.cat([angles.cos(), angles.sin()], dim=1)
-
-
-def check_conditioning(conditioning: str) -> None:
-    """Raise a ValueError unless ``conditioning`` is one of ``_CONDITIONINGS``."""
-    choice("conditioning", conditioning, _CONDITIONINGS)
 
 
 def _zero(layer: nn.Module) -> None:
@@ -129,7 +124,7 @@ class UNet(nn.Module):
         self.part_starts = [sum(parts[:i]) for i in range(len(parts))]
         self.n_conditions, self.channels, self.embedding = n_conditions, tuple(channels), embedding
         self.blocks = blocks
-        check_conditioning(conditioning)
+        choice("conditioning", conditioning, CONDITIONINGS)
         self.descriptor = nn.Sequential(
             nn.Linear(n_conditions + len(parts), hidden),
             nn.SiLU(),

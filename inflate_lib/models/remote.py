@@ -57,35 +57,6 @@ def _tested(model: TrainedModel, pairs: _Pairs, unseen: _Pairs, about: Mapping) 
     return model
 
 
-def write_pack(
-    path: Path, images: np.ndarray, variants: np.ndarray, unseen: np.ndarray, models: Mapping[str, Mapping]
-) -> None:
-    """Write data and recipes into one file.
-
-    Parameters
-    ----------
-    path : path
-        A safetensors file.
-    images : array, shape (n, 28, 28)
-        Structures to train on, without their flips and shifts.
-    variants : int array, shape (m, 4)
-        See :func:`inflate_lib.structures.augmentation.augment`.
-    unseen : array, shape (k, 28, 28)
-        Structures that are held out.
-    models : Mapping
-        Name of a descriptor → ``config`` (TrainingConfig), ``about`` (metadata, JSON), and ``seen`` and
-        ``mirrored`` (n, N), the descriptors of the structures and of their mirror images, and ``unseen`` (k, N).
-    """
-    arrays = {"images": images, "variants": variants.astype(np.int32), "unseen": unseen}
-    content = {}
-    for name, model in models.items():
-        arrays |= {f"{name}.{part}": model[part] for part in ("seen", "mirrored", "unseen")}
-        content[name] = {"config": model["config"].as_dict(), "about": model["about"]}
-    tensors = {name: torch.from_numpy(np.array(array, order="C")) for name, array in arrays.items()}  # copies
-    storage.check_files([path], "pack")
-    storage.write(path, "pack", tensors, content)
-
-
 def _unpack(path: Path, name: str, device: str = "auto", compile: bool = False):
     """What one model of a pack is trained on, the pairs that are held out, its configuration, and its metadata."""
     tensors, models = storage.read(path, "pack")

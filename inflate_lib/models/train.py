@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import torch
 import xarray as xr
@@ -17,11 +18,11 @@ from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import JOINT
-from inflate_lib.diffusion import TrainedModel, ranks, train
+from inflate_lib.diffusion import TrainedModel, ranks, storage, train
 from inflate_lib.diffusion.distillation import distil, tune
 from inflate_lib.diffusion.training import choose_device
 from inflate_lib.models.recipe import Recipe
-from inflate_lib.models.remote import train_and_test, write_pack
+from inflate_lib.models.remote import train_and_test
 from inflate_lib.models.surrogate import Surrogate, blends_of, critic, train_surrogate
 
 
@@ -43,13 +44,17 @@ def pack(path: Path, names: Sequence[str], recipe: Recipe, data, profile: str | 
     profile : str, optional
         Its name, for the header of the weights.
     """
-    models = {}
+    storage.check_files([path], "pack")
+    arrays, models = {}, {}
     for name in names:
         pairs = training_set(name, recipe, data)
         about = pairs.about | {"mean": pairs.mean, "profile": profile, "sampling": dict(recipe.sampling)}
-        models[name] = {"config": recipe.config(name), "about": about}
-        models[name] |= {"seen": pairs.originals[1], "mirrored": pairs.mirrored, "unseen": pairs.unseen[1]}
-    write_pack(path, pairs.originals[0], pairs.variants, pairs.unseen[0], models)
+        models[name] = {"config": recipe.config(name).as_dict(), "about": about}
+        of = {"seen": pairs.originals[1], "mirrored": pairs.mirrored, "unseen": pairs.unseen[1]}
+        arrays |= {f"{name}.{part}": descriptors for part, descriptors in of.items()}
+    arrays |= {"images": pairs.originals[0], "variants": pairs.variants.astype(np.int32), "unseen": pairs.unseen[0]}
+    tensors = {name: torch.from_numpy(np.array(array, order="C")) for name, array in arrays.items()}  # copies
+    storage.write(path, "pack", tensors, models)
 
 
 def trained_model_file(

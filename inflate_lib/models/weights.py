@@ -210,12 +210,9 @@ def load_model(name: str = JOINT, profile: str = "laptop") -> Model:
         table = reach.reach_of(simulated_sevens(trained.metadata.get("source", "auto")))
     if "calibration" not in trained.metadata:
         warnings.warn(f"{there[name]} is not calibrated: `inflate card --profile {profile}` does it", stacklevel=2)
-    model = _model(name, trained, trained.metadata, table)
-    others = {purpose: _model(name, trained, about, table) for purpose, about in _samplers(trained).items()}
-    if (student := _student(there[name], trained)) is not None:
-        asked = {"quick": student.metadata, **_samplers(student)}
-        others |= {purpose: _model(name, student, about, table) for purpose, about in asked.items()}
-    return replace(model, others=others)
+    asked = _asked_for(there[name], trained)
+    made = {purpose: _model(name, one, about, table) for purpose, (one, about) in asked.items()}
+    return replace(made.pop("faithful"), others=made)
 
 
 def committed_weights(descriptor: str, recipe: Recipe, data: xr.Dataset) -> tuple[Path | None, str]:
@@ -275,37 +272,32 @@ def trained_models(names: Sequence[str], recipe: Recipe, data: xr.Dataset) -> di
     table = reach.reach_of(data)
     models = {}
     for name in names:
-        trained, ways = TrainedModel.load(found[name]), {"faithful": dict(recipe.sampling), **recipe.ways()}
-        asked = {purpose: (trained, _samplers(trained).get(purpose, {})) for purpose in ways}
-        asked["faithful"] = trained, trained.metadata
-        if "quick" in ways and (student := _student(found[name], trained)) is not None:
-            known = {"quick": student.metadata, **_samplers(student)}
-            asked |= {purpose: (student, known.get(purpose, {})) for purpose in ways if purpose != "faithful"}
-        made = {
-            purpose: _model(name, one, {"sampling": way, "calibration": _stored(about, way, recipe)}, table)
-            for (purpose, (one, about)), way in zip(asked.items(), ways.values(), strict=True)
-        }
+        asked, made = _asked_for(found[name], TrainedModel.load(found[name])), {}
+        for purpose, way in {"faithful": dict(recipe.sampling), **recipe.ways()}.items():
+            one, about = asked.get(purpose, (asked.get("quick", asked["faithful"])[0], {}))
+            made[purpose] = _model(name, one, {"sampling": way, "calibration": _stored(about, way, recipe)}, table)
         models[name] = replace(made.pop("faithful"), others=made)
     return models
 
 
 def _model(name, trained, about, table):
     """A model with the sampling and the calibrations that a header tells."""
-    return Model(name, trained, about.get("sampling", {}), _calibrations(about.get("calibration", {})), table)
+    calibrations = {asked: Calibration.from_dict(values) for asked, values in about.get("calibration", {}).items()}
+    return Model(name, trained, about.get("sampling", {}), calibrations, table)
 
 
-def _samplers(trained):
-    """Purpose → sampling and calibrations, as the header of weights tells them."""
-    return trained.metadata.get("samplers", {})
+def _asked_for(path, teacher):
+    """Purpose → who answers, and its sampling and calibrations, as the header of its weights tells them.
 
-
-def _student(path, teacher):
-    """The student of the model in a file, if there is one, and it is of this very teacher."""
+    That is the model in a file, or for what it knows its student, if there is one, and it is of this very teacher.
+    """
+    found = {purpose: (teacher, about) for purpose, about in teacher.metadata.get("samplers", {}).items()}
+    found["faithful"] = teacher, teacher.metadata
     file = path.parent / STUDENTS / path.name
-    if not file.is_file():
-        return None
-    student = TrainedModel.load(file)
-    return student if student.metadata.get("teacher") == teacher.fingerprint else None
+    if file.is_file() and (student := TrainedModel.load(file)).metadata.get("teacher") == teacher.fingerprint:
+        known = {"quick": student.metadata, **student.metadata.get("samplers", {})}
+        found |= {purpose: (student, about) for purpose, about in known.items()}
+    return found
 
 
 def _stored(about, sampling, recipe):
@@ -313,10 +305,6 @@ def _stored(about, sampling, recipe):
     wanted, fits = {"n": recipe.n_calibration, "seed": recipe.seed}, about.get("sampling") == dict(sampling)
     stored = about.get("calibration", {}) if fits else {}
     return {asked: one for asked, one in stored.items() if wanted.items() <= one.items()}
-
-
-def _calibrations(stored):
-    return {asked: Calibration.from_dict(values) for asked, values in stored.items()}
 
 
 def _name(path):

@@ -55,7 +55,7 @@ def test_reverse_mean_with_the_true_noise_is_the_posterior_mean():
     torch.testing.assert_close(ours, process.posterior_mean(SCHEDULE, x0, x, t), rtol=1e-7, atol=1e-7)
 
 
-@pytest.mark.parametrize("objective", process._OBJECTIVES)
+@pytest.mark.parametrize("objective", process.OBJECTIVES)
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=20, deadline=None)
 def test_the_target_leads_back_to_image_and_noise(objective, seed):
@@ -159,7 +159,7 @@ def test_decoder_is_finite_with_a_gradient_far_out_in_the_tails():
     assert bool(torch.isfinite(nll).all()) and bool((mean.grad.sign() == (mean - x0).sign()).all())
 
 
-@pytest.mark.parametrize("objective", process._OBJECTIVES)
+@pytest.mark.parametrize("objective", process.OBJECTIVES)
 def test_gradient_of_the_vlb_is_that_of_the_reweighted_error(objective):
     x0, noise, t = batch()
     x0, noise, t = x0[1:], noise[1:], t[1:]  # the first term is the decoder's
@@ -225,7 +225,7 @@ def test_min_snr_weighs_errors_of_the_image_alike_whatever_is_predicted(gamma):
     x0, noise, t = batch()
     x = process.add_noise(SCHEDULE, x0, t, noise)
     g = torch.Generator().manual_seed(4)
-    for objective in process._OBJECTIVES:
+    for objective in process.OBJECTIVES:
         target = process.training_target(SCHEDULE, x0, t, noise, objective)
         answer = target + torch.randn(x.shape, generator=g, dtype=torch.float64)
         of_image = process.squared_error(process.predicted_x0(SCHEDULE, x, t, answer, objective), x0)

@@ -11,7 +11,7 @@ from scipy.stats import kstest
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, process
 from inflate_lib.diffusion.sampling import (
     _SAMPLERS,
-    _dpm_solver_step,
+    _extrapolated,
     _timesteps,
     ancestral_step,
     ddim_step,
@@ -64,7 +64,7 @@ def propagated(sampler, steps, eta):
     ("sampler", "steps", "eta", "published"),
     [("ancestral", 1000, 1, 0.1009), ("ddim", 50, 0, None), ("ddim", 20, 0, None), ("ddim", 50, 1, 0.079)],
 )
-@pytest.mark.parametrize("objective", process._OBJECTIVES)
+@pytest.mark.parametrize("objective", process.OBJECTIVES)
 def test_gaussian_toy_ends_with_the_samplers_own_spread(sampler, steps, eta, published, objective):
     x = sampled(GAUSSIAN, 20_000, objective, sampler, steps, eta)
     mean, deviation = propagated(sampler, steps, eta)
@@ -110,7 +110,7 @@ def test_a_thousand_steps_draw_from_the_data_distribution(sampler, eta, objectiv
         assert kstest(x, Mixture(weights, means, [0.1, 0.2]).cdf).pvalue < 1e-3
 
 
-@pytest.mark.parametrize("objective", process._OBJECTIVES)
+@pytest.mark.parametrize("objective", process.OBJECTIVES)
 @pytest.mark.parametrize(("steps", "eta"), [(10, 0.0), (10, 0.5), (10, 1.0), (20, 0.0), (20, 1.0)])
 def test_few_ddim_steps_draw_from_their_own_distribution(steps, eta, objective):
     x = sampled(TWO_HILLS, 10_000, objective, "ddim", steps, eta)
@@ -155,7 +155,7 @@ def test_without_clipping_the_ancestral_step_is_equation_10(step):
 
 
 @pytest.mark.parametrize("eta", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("objective", process._OBJECTIVES)
+@pytest.mark.parametrize("objective", process.OBJECTIVES)
 def test_ddim_chain_agrees_with_diffusers(objective, eta):
     options = {"timestep_spacing": "trailing", "prediction_type": PREDICTION_TYPES[objective]}
     theirs = diffusers_scheduler("DDIMScheduler", **options)
@@ -173,7 +173,7 @@ def test_ddim_chain_agrees_with_diffusers(objective, eta):
 
 
 @pytest.mark.parametrize("steps", [1, 2, 5, 20, 50])
-@pytest.mark.parametrize("objective", process._OBJECTIVES)
+@pytest.mark.parametrize("objective", process.OBJECTIVES)
 def test_dpm_solver_agrees_with_diffusers(objective, steps):
     """Every state of the chain, to the single precision in which diffusers computes it (the noise magnifies that)."""
     options = {"timestep_spacing": "trailing", "prediction_type": PREDICTION_TYPES[objective]}
@@ -190,7 +190,7 @@ def test_dpm_solver_agrees_with_diffusers(objective, steps):
         torch.testing.assert_close(state, x, rtol=0, atol=2e-4 if objective == "epsilon" else 2e-6)
 
 
-@pytest.mark.parametrize("objective", process._OBJECTIVES)
+@pytest.mark.parametrize("objective", process.OBJECTIVES)
 def test_dpm_solver_with_noise_agrees_with_diffusers(objective):
     """With η = 1 it solves the stochastic equation; where they extrapolate nothing either, it is DDIM's step."""
     options = {"timestep_spacing": "trailing", "prediction_type": PREDICTION_TYPES[objective]}
@@ -217,7 +217,7 @@ def test_dpm_solver_is_of_second_order():
         x, last = start.mean + start.stddev * z, None
         for t, earlier in pairwise(np.linspace(800, 200, steps + 1).astype(int).tolist()):
             x0 = GAUSSIAN.expected_x0(x, SCHEDULE.alpha_bars[t].item())
-            x = _dpm_solver_step(SCHEDULE, x0, x, t, earlier, last)
+            x = ddim_step(SCHEDULE, _extrapolated(SCHEDULE, x0, t, earlier, last), x, t, earlier)
             last = (t, x0) if second_order else None
         return (x - (end.mean + end.stddev * z)).abs().max().item()
 

@@ -15,8 +15,7 @@ import pytest
 import torch
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate, process, storage, train
-from inflate_lib.diffusion._logs import Log
-from inflate_lib.diffusion.loop import Loop
+from inflate_lib.diffusion.loop import Loop, _Log
 from inflate_lib.diffusion.randomness import random_generator
 from inflate_lib.diffusion.training import Run, choose_device, losses_in_time
 
@@ -416,7 +415,7 @@ def test_without_tensorboard_a_line_says_so(tmp_path, monkeypatch, capsys):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
 def test_a_log_that_does_not_fit_on_its_disk_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    log = Log(tmp_path, 0)
+    log = _Log(tmp_path, 0)
     log.path = Path("/dev/full")
     with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
         log.add(step=1, loss=0.5, simple=0.5, vlb=0.1, seconds=1.0)

@@ -9,7 +9,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from inflate_lib.diffusion import TrainingConfig, UNet
-from inflate_lib.diffusion.unet import _CONDITIONINGS, ResidualBlock, _Attention, sinusoidal_embedding
+from inflate_lib.diffusion.unet import CONDITIONINGS, ResidualBlock, _Attention, sinusoidal_embedding
 
 
 def shaken(**options):
@@ -65,7 +65,7 @@ def test_number_of_parameters_with_more_blocks_or_added_context():
     assert less == (2 * (64 + 128 + 256) + 2 * 256) * (256 + 1)  # no scale: eight blocks, down, up and in the middle
 
 
-@pytest.mark.parametrize("conditioning", _CONDITIONINGS)
+@pytest.mark.parametrize("conditioning", CONDITIONINGS)
 def test_context_enters_a_residual_block_as_written(conditioning):
     torch.manual_seed(0)
     block = ResidualBlock(4, 4, 6, groups=2, scale_shift=conditioning == "scale-shift").double()
@@ -222,7 +222,7 @@ def test_parts_of_a_descriptor_are_withheld_by_nan():
         shaken(n_conditions=4, parts=[1, 2])
 
 
-@pytest.mark.parametrize("conditioning", _CONDITIONINGS)
+@pytest.mark.parametrize("conditioning", CONDITIONINGS)
 def test_each_block_is_told_silu_of_the_context_through_a_map_with_a_bias(conditioning):
     """The context is the sum of two embeddings; what reaches the blocks has gone through SiLU once more."""
     net, told = UNet(2, (4, 8), 16, conditioning=conditioning), []
