@@ -19,8 +19,8 @@ from stored import store
 
 from inflate_lib._cache import step_version
 from inflate_lib.alternatives import ablation
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.datasets.split import training_rows
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.experiments.run import held_out_targets
 from inflate_lib.models.recipe import load_recipe

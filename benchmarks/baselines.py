@@ -16,8 +16,8 @@ from stored import store
 from inflate_lib.alternatives.ablation import measures
 from inflate_lib.alternatives.autoencoder import calibrate_autoencoder, run_autoencoder, train_autoencoder
 from inflate_lib.alternatives.retrieval import random_structures, retrieved_structures
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import DESCRIPTORS
 from inflate_lib.experiments.calibrate import calibrate_all
 from inflate_lib.experiments.run import held_out_seed, held_out_targets, run_held_out

@@ -26,8 +26,8 @@ from stored import store
 
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.alternatives.ablation import evaluate_variant
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import JOINT, PARTS, columns

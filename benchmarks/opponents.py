@@ -21,8 +21,8 @@ from scipy.stats import binomtest
 from stored import store
 
 from inflate_lib._cache import cached, code_version, digest
+from inflate_lib.datasets.pairs import held_out, training_rows
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.datasets.split import held_out, training_rows
 from inflate_lib.descriptors import Shape, descriptor_matrix, get_descriptor
 from inflate_lib.experiments.metrics import bootstrap
 from inflate_lib.experiments.run import model_digest

@@ -28,8 +28,8 @@ from stored import seconds, store
 from inflate_lib import paths
 from inflate_lib._cache import step_version
 from inflate_lib.alternatives.ablation import evaluate_variant
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.calibrate import calibrate

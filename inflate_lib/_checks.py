@@ -13,8 +13,10 @@ def _is_whole_number(value: Any) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
-def whole_number(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """`value` as an int, or a ValueError where it is no whole number from `least` to `most`."""
+def whole_number(name: str, value: Any, least: int, most: int | None = None, optional: bool = False) -> int:
+    """`value` as an int, or a ValueError where it is no whole number from `least` to `most`; None if `optional`."""
+    if optional and value is None:
+        return value
     if _is_whole_number(value) and least <= value and (most is None or value <= most):
         return int(value)
     bounds = f"of at least {least}" if most is None else f"from {least} to {most}"

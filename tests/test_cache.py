@@ -265,7 +265,7 @@ def versions(folder):
     ("module", "before", "after", "first"),
     [
         ("mechanics/material.py", "0.1644", "0.1645", "dataset"),
-        ("datasets/split.py", "% 10 == 9\n", "% 10 == 8\n", "dataset"),
+        ("datasets/pairs.py", "% 10 == 9\n", "% 10 == 8\n", "dataset"),
         ("diffusion/schedule.py", "0.008", "0.009", "model"),
         ("models/train.py", "steps // 10", "steps // 20", "model"),
         ("experiments/run.py", "WHOLE = 0.9", "WHOLE = 0.8", "experiment"),

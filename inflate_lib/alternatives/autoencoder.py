@@ -12,8 +12,7 @@ from torch import Tensor, nn
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import whole_number, workers
-from inflate_lib.datasets.pairs import TrainingSet
-from inflate_lib.datasets.split import training_rows
+from inflate_lib.datasets.pairs import TrainingSet, training_rows
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.randomness import initialised, random_generator, seed_for

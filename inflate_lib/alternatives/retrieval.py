@@ -7,7 +7,7 @@ import xarray as xr
 from sklearn.neighbors import NearestNeighbors
 
 from inflate_lib._checks import whole_number
-from inflate_lib.datasets.split import training_rows
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.experiments.run import as_experiment

@@ -10,7 +10,7 @@ import xarray as xr
 
 from inflate_lib._checks import whole_number
 from inflate_lib._files import check_outputs, hand_out
-from inflate_lib.datasets.split import training_rows
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
 from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.diffusion import storage
@@ -111,8 +111,7 @@ def write_card(folder: Path, data: xr.Dataset, recipe: Recipe, n: int | None = N
     Path
         The card.
     """
-    if n is not None:
-        whole_number("n", n, 1)
+    whole_number("n", n, 1, optional=True)
     folder, training, accuracy = Path(folder), {}, {}
     card = folder / "README.md"
     check_outputs([card], ours=_is_card)

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING
 from inflate_lib._lazy import attach
 
 if TYPE_CHECKING:
-    from inflate_lib.datasets.pairs import TrainingSet
+    from inflate_lib.datasets.pairs import TrainingSet, held_out, training_rows
     from inflate_lib.datasets.simulate import simulate_dataset, simulated_sevens
-    from inflate_lib.datasets.split import held_out, training_rows
     from inflate_lib.datasets.storage import load_dataset, save_dataset
 
 __all__ = [

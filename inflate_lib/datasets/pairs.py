@@ -1,4 +1,7 @@
-"""What a model is trained on: augmented images with their descriptors, and where they come from (paper sec. 3.2)."""
+"""What a model is trained on: augmented images with their descriptors, and where they come from (paper sec. 3.2).
+
+One rule for every model, table and chapter says which structures are kept from training: :func:`held_out`.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,9 +11,26 @@ import xarray as xr
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import whole_number
-from inflate_lib.datasets.split import held_out, training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.structures import augmentation
+
+
+def held_out(n: int) -> np.ndarray:
+    """Which of n structures no model is trained on: every tenth, those with ``index % 10 == 9``.
+
+    The rule looks at the position in the whole data set alone, before structures that did not converge are left out and
+    before augmentation, so that no flip or shift of a held-out structure is ever seen in training.
+
+    Returns
+    -------
+    (n,) bool
+    """
+    return np.arange(whole_number("n", n, 0)) % 10 == 9
+
+
+def training_rows(data: xr.Dataset) -> np.ndarray:
+    """Row numbers of the structures that models are trained on."""
+    return np.flatnonzero(data["converged"].values & ~held_out(data.sizes["structure"]))
 
 
 @dataclass(frozen=True)
@@ -21,7 +41,7 @@ class TrainingSet:
     ----------
     data : xarray.Dataset
         Simulated structures, all of them; those that did not converge and those of
-        :func:`inflate_lib.datasets.split.held_out` are not trained on.
+        :func:`inflate_lib.datasets.pairs.held_out` are not trained on.
     descriptor : str
     n_augmented : int
         Number of pairs; where flips and shifts do not give as many, all that they give.

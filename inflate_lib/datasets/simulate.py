@@ -18,7 +18,7 @@ from joblib.parallel import get_active_backend
 import inflate_lib
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, kept, step_version
-from inflate_lib._checks import whole_number, workers
+from inflate_lib._checks import positive_number, whole_number, workers
 from inflate_lib._files import draft
 from inflate_lib.datasets import _workers
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -107,10 +107,10 @@ def simulate_dataset(
     if n_jobs is None:
         n_jobs = get_active_backend()[1] or -1
     workers(n_jobs)
-    inflation.check_steps(n_steps)
+    whole_number("n_steps", n_steps, 1, inflation.MAX_STEPS)
     if time_limit is None:
         time_limit = max(TIME_LIMIT[0], TIME_LIMIT[1] * n_steps)
-    inflation.check_time_limit(time_limit)
+    positive_number("time_limit", time_limit, "seconds")
     address = _workers.check_backend(backend)
     if folder is not None:
         folder = Path(folder)
@@ -166,8 +166,7 @@ def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
     if n_jobs is not None:
         workers(n_jobs)
-    if n_structures is not None:
-        whole_number("n_structures", n_structures, 1)
+    whole_number("n_structures", n_structures, 1, optional=True)
     sevens = sources.load_sevens(source, limit=n_structures)
 
     def make(target, scratch):

@@ -61,7 +61,8 @@ class PointDistance:
 
     def apart(self, achieved, target):
         """(…, k) distances of the k points of curves (…, N)."""
-        return _distances(achieved, target)
+        apart = np.asarray(achieved) - np.asarray(target)
+        return np.linalg.norm(apart.reshape(*apart.shape[:-1], apart.shape[-1] // 2, 2), axis=-1)
 
     def height(self, target):
         """(…,) heights of the shapes that curves (…, N) belong to."""
@@ -123,8 +124,3 @@ def _hausdorff(axes, others):
     axes, others = (np.reshape(part, (len(part), -1, 2)) for part in (axes, others))
     apart = np.linalg.norm(axes[:, :, None] - others[:, None, :], axis=-1)
     return np.maximum(apart.min(axis=1).max(axis=1), apart.min(axis=2).max(axis=1)) / PIXEL
-
-
-def _distances(axes, others):
-    apart = np.asarray(axes) - np.asarray(others)
-    return np.linalg.norm(apart.reshape(*apart.shape[:-1], apart.shape[-1] // 2, 2), axis=-1)

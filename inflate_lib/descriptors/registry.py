@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import number, numbers, positive_number
+from inflate_lib.descriptors import shape as geometry
 from inflate_lib.descriptors.distances import (
     OUTLINE_DISTANCE,
     POINT_DISTANCE,
@@ -22,22 +23,7 @@ from inflate_lib.descriptors.distances import (
     PointDistance,
     RelativeError,
 )
-from inflate_lib.descriptors.shape import (
-    AXIS_POINTS,
-    OUTLINE_DIRECTIONS,
-    Shape,
-    area_gradient,
-    axis_height,
-    check_axis,
-    check_outline,
-    medial_axis,
-    mirror_axis,
-    mirror_outline,
-    outline_corners,
-    outline_height,
-    place_axis,
-    support_function,
-)
+from inflate_lib.descriptors.shape import Shape
 from inflate_lib.mechanics.stress import largest_stretch, von_mises
 
 _registry: dict[str, "Descriptor"] = {}
@@ -286,11 +272,11 @@ def _extent(direction, shape):
 
 
 def _axis(shape):
-    return medial_axis(shape.hull)
+    return geometry.medial_axis(shape.hull)
 
 
 def _outline(shape):
-    return support_function(shape.hull)
+    return geometry.support_function(shape.hull)
 
 
 def _stress(shape):
@@ -312,12 +298,12 @@ def _extent_gradient(direction, nodes):
 def _hull_gradient(nodes):
     gradient = np.zeros_like(nodes)
     hull = ConvexHull(nodes).vertices
-    gradient[hull] = area_gradient(nodes[hull])
+    gradient[hull] = geometry.area_gradient(nodes[hull])
     return gradient
 
 
 def _height_of_axis(vector):
-    return (axis_height(vector.reshape(-1, 2)),) * 2
+    return (geometry.axis_height(vector.reshape(-1, 2)),) * 2
 
 
 def _width_of_axis(vector):
@@ -325,11 +311,11 @@ def _width_of_axis(vector):
 
 
 def _height_of_outline(vector):
-    return (outline_height(vector),) * 2
+    return (geometry.outline_height(vector),) * 2
 
 
 def _width_of_outline(vector):
-    return (vector[0] + vector[OUTLINE_DIRECTIONS // 2],) * 2
+    return (vector[0] + vector[geometry.OUTLINE_DIRECTIONS // 2],) * 2
 
 
 def _area_of_box(vector):
@@ -357,14 +343,14 @@ def _draw_box(ax, target, nodes, **style):
 
 def _draw_axis(ax, target, nodes, **style):
     """The points, where those of the structure's own axis begin."""
-    points = place_axis(target.reshape(-1, 2), nodes)
+    points = geometry.place_axis(target.reshape(-1, 2), nodes)
     own = {"marker": "o", "markersize": 1.8, "markeredgecolor": "white", "markeredgewidth": 0.3}
     own |= {"linewidth": 0.8, "zorder": 2}
     ax.plot(*points.T, **(style | own))
 
 
 def _draw_outline(ax, target, nodes, **style):
-    _draw_polygon(ax, outline_corners(target), nodes, **style)
+    _draw_polygon(ax, geometry.outline_corners(target), nodes, **style)
 
 
 def _draw_polygon(ax, corners, nodes, color=None, **style):
@@ -444,13 +430,13 @@ _own(
     _axis,
     title="medial axis",
     meaning="medial axis of the deformed shape, bottom to top, first point at the origin",
-    components=tuple(f"{x} of point {k}" for k in range(AXIS_POINTS) for x in "xy"),
+    components=tuple(f"{x} of point {k}" for k in range(geometry.AXIS_POINTS) for x in "xy"),
     unit="side",
-    variable="medial_axis",
-    sizes={"point": AXIS_POINTS, "axis": 2},
-    flip=mirror_axis,
+    variable="geometry.medial_axis",
+    sizes={"point": geometry.AXIS_POINTS, "axis": 2},
+    flip=geometry.mirror_axis,
     error=POINT_DISTANCE,
-    check=check_axis,
+    check=geometry.check_axis,
     bounds={"height": _height_of_axis, "width": _width_of_axis},
     draw=_draw_axis,
 )
@@ -459,12 +445,12 @@ _own(
     "H(θ)",
     _outline,
     meaning="support function of the deformed convex hull, from the ground below its middle",
-    components=tuple(f"H at {360 * k / OUTLINE_DIRECTIONS:g}°" for k in range(OUTLINE_DIRECTIONS)),
+    components=tuple(f"H at {360 * k / geometry.OUTLINE_DIRECTIONS:g}°" for k in range(geometry.OUTLINE_DIRECTIONS)),
     unit="side",
-    sizes={"direction": OUTLINE_DIRECTIONS},
-    flip=mirror_outline,
+    sizes={"direction": geometry.OUTLINE_DIRECTIONS},
+    flip=geometry.mirror_outline,
     error=OUTLINE_DISTANCE,
-    check=check_outline,
+    check=geometry.check_outline,
     bounds={"height": _height_of_outline, "width": _width_of_outline},
     draw=_draw_outline,
 )

@@ -79,8 +79,7 @@ def train(
     OSError
         A checkpoint cannot be written (full disk). The one before, if there is one, is kept.
     """
-    if threads is not None:
-        whole_number("threads", threads, 1)
+    whole_number("threads", threads, 1, optional=True)
     images, conditions = _checked(images, conditions, config)
     threads_before = torch.get_num_threads()
     torch.set_num_threads(threads or threads_before)

@@ -14,7 +14,7 @@ import xarray as xr
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import whole_number, workers
-from inflate_lib.datasets.split import training_rows
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import name_of
 from inflate_lib.diffusion import TrainedModel
@@ -139,7 +139,7 @@ def answers(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
     model : inflate_lib.models.Model
         A calibration is good for its sampling alone.
     data : xarray.Dataset
-        All simulated structures; those of :func:`inflate_lib.datasets.split.held_out` are not used.
+        All simulated structures; those of :func:`inflate_lib.datasets.pairs.held_out` are not used.
     n : int
         Structures to draw.
     seed : int

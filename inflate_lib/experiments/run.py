@@ -16,7 +16,7 @@ from inflate_lib._cache import cached, digest, step_version
 from inflate_lib._checks import numbers, whole_number, workers
 from inflate_lib._files import draft
 from inflate_lib.datasets import simulate
-from inflate_lib.datasets.split import held_out
+from inflate_lib.datasets.pairs import held_out
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import PARTS, added_version, columns
@@ -243,8 +243,7 @@ def held_out_targets(
         Which structures of `data` they belong to.
     """
     whole_number("seed", seed, 0)
-    if n is not None:
-        whole_number("n", n, 1)
+    whole_number("n", n, 1, optional=True)
     usable = np.flatnonzero(data["converged"].values & held_out(data.sizes["structure"]))
     order = np.random.default_rng(seed).permutation(usable)
     matrix = descriptor_matrix(data, descriptor)

@@ -81,9 +81,9 @@ def scores(
     def statistics(rows):
         good = valid[rows]
         known = values[rows[good]]
-        averages = np.column_stack([_mean(known), _median(known)]).ravel()
-        shares = [_share(within[rows[good]] <= limit) for limit in one.error.limits]
-        shares += [_share(good), _share(buildable[rows])]
+        averages = np.column_stack([_average(known), _average(known, np.median)]).ravel()
+        shares = [_average(within[rows[good]] <= limit) for limit in one.error.limits]
+        shares += [_average(good), _average(buildable[rows])]
         return np.array([r_squared(target[rows], achieved[rows]), *averages, *(100 * share for share in shares)])
 
     everything = np.arange(len(target))
@@ -154,9 +154,9 @@ def accuracy(experiment: xr.Dataset, descriptor: str) -> pd.DataFrame:
             "target": name,
             "valid": valid[here].mean(),
             "buildable": buildable[here].mean(),
-            f"mean error ({unit})": factor * _mean(error_here),
-            f"median error ({unit})": factor * _median(error_here),
-            f"within {one.error.limit(near).replace(' %', '%')}": _share(error_here <= near),
+            f"mean error ({unit})": factor * _average(error_here),
+            f"median error ({unit})": factor * _average(error_here, np.median),
+            f"within {one.error.limit(near).replace(' %', '%')}": _average(error_here <= near),
         }
 
     rows = []
@@ -208,17 +208,9 @@ def _failure(reason):
     return next((kind for begin, kind in _FAILURES.items() if reason.startswith(begin)), _Failure.UNUSABLE)
 
 
-def _mean(values):
-    """Mean over rows; NaN, without a warning, of nothing."""
-    return values.mean(axis=0) if len(values) else np.full(values.shape[1:], np.nan)
-
-
-def _median(values):
-    return np.median(values, axis=0) if len(values) else np.full(values.shape[1:], np.nan)
-
-
-def _share(flags):
-    return flags.mean() if len(flags) else np.nan
+def _average(values, average=np.mean):
+    """Mean, or another average, over rows; NaN, without a warning, of nothing."""
+    return average(values, axis=0) if len(values) else np.full(values.shape[1:], np.nan)[()]
 
 
 def _words(descriptor, target, number):

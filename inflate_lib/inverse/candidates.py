@@ -7,7 +7,7 @@ chooses among them, in one and the same way: so the two can be compared, and can
 import numpy as np
 import xarray as xr
 
-from inflate_lib.datasets.split import training_rows
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.descriptors import Descriptors, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.inverse.constraints import Constraints

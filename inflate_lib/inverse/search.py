@@ -20,8 +20,8 @@ from joblib import Parallel, delayed
 
 from inflate_lib import paths
 from inflate_lib._checks import choice, positive_number, whole_number, workers
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_before, simulated_sevens
-from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import Descriptors, describe, get_descriptor
 from inflate_lib.descriptors.registry import DESCRIPTORS, OWN, PHYSICAL, basic, registered
 from inflate_lib.diffusion.storage import fingerprint

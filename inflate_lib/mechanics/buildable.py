@@ -13,7 +13,8 @@ What happens between two load steps is not looked at; more load steps see more.
 from enum import StrEnum
 
 import numpy as np
-from numba import njit
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from inflate_lib.mechanics.contact import first_crossing
 from inflate_lib.mechanics.inflation import Inflation
@@ -54,18 +55,8 @@ def find_flaw(result: Inflation) -> Flaw | None:
     return None
 
 
-@njit(cache=True, nogil=True)
 def _pieces(cells, n_nodes):
     """Number of sets of quadrilaterals that have no node in common."""
-    above, count = np.arange(n_nodes), n_nodes  # a node belongs to the piece of the node above it
-    for cell in cells:
-        for node in cell[1:]:
-            first, second = cell[0], node
-            while above[first] != first:
-                first = above[first]
-            while above[second] != second:
-                second = above[second]
-            if first != second:
-                above[max(first, second)] = min(first, second)
-                count -= 1
-    return count
+    first, others = np.repeat(cells[:, 0], 3), cells[:, 1:].ravel()
+    joined = csr_array((np.ones(len(first)), (first, others)), shape=(n_nodes, n_nodes))
+    return connected_components(joined, directed=False, return_labels=False)

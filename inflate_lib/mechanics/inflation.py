@@ -33,6 +33,7 @@ from inflate_lib.mechanics.mesh import Mesh, build_mesh, check_mesh
 PRESSURE = 0.01  # internal pressure at t = 1: p(t) = PRESSURE · t
 WITH_POTENTIAL = ("mean-dilatation", "q1")  # elements whose equilibria are stationary points
 ELEMENTS = (*WITH_POTENTIAL, "stabilised")
+MAX_STEPS = 10_000  # load steps
 MAX_HALVINGS = _kernels.MAX_HALVINGS  # of a load step that does not converge
 
 _FACTORISATIONS = 1000, 100  # allowed in all, or per load step if that is more; MNIST's sevens take at most 228 in ten
@@ -174,7 +175,8 @@ def inflate(
     times, pressures = load_history(pressure, n_steps)
     lam, mu = check_lame(lame)
     whole_number("refine", refine, 1)
-    check_time_limit(time_limit)
+    if time_limit is not None:
+        positive_number("time_limit", time_limit, "seconds")
     mesh = check_mesh(label) if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
 
     system = build_system(mesh, "mean-dilatation" if element == "stabilised" else element, (lam, mu))
@@ -215,11 +217,10 @@ def load_history(pressure, n_steps=None):
     ValueError
         Where they are no pressure, no history or no number of steps, or contradict each other.
     """
-    if n_steps is not None:
-        check_steps(n_steps)
-    wanted = "a finite number, or a history of 1 to 10000 of them"
+    whole_number("n_steps", n_steps, 1, MAX_STEPS, optional=True)
+    wanted = f"a finite number, or a history of 1 to {MAX_STEPS} of them"
     pressures = numbers("pressure", pressure, wanted)
-    if pressures.ndim > 1 or not 1 <= pressures.size <= 10_000:
+    if pressures.ndim > 1 or not 1 <= pressures.size <= MAX_STEPS:
         raise ValueError(f"pressure must be {wanted}, not {reprlib.repr(pressure)}")
     is_history = pressures.ndim == 1
     if is_history and n_steps not in (None, pressures.size):
@@ -241,17 +242,6 @@ def check_lame(lame):
     if lam <= 0 or mu <= 0:
         raise ValueError(f"lame must be {wanted}, not {lame!r}")
     return lam, mu
-
-
-def check_steps(n_steps):
-    """Raise a ValueError where `n_steps` is no number of load steps."""
-    whole_number("n_steps", n_steps, 1, 10_000)
-
-
-def check_time_limit(seconds):
-    """Raise a ValueError where `seconds` is neither None nor a positive number."""
-    if seconds is not None:
-        positive_number("time_limit", seconds, "seconds")
 
 
 def shape_gradients(corners):

@@ -131,25 +131,17 @@ def _check_label(label, clamped="bottom"):
 def _cavity_edges(label):
     """Edges between void and wall as pairs of lattice points, counter-clockwise around the void."""
     size = len(label)
-    wall, void = label == WALL, label == VOID
+    void, wall = label == VOID, np.pad(label == WALL, 1)
     lattice = np.arange((size + 1) ** 2).reshape(size + 1, size + 1)
-
-    def edges(here, start, end):
-        return np.column_stack([start[here], end[here]])
-
     upper_left, upper_right = lattice[:-1, :-1], lattice[:-1, 1:]
     lower_left, lower_right = lattice[1:, :-1], lattice[1:, 1:]
-    below, above = np.zeros_like(wall), np.zeros_like(wall)
-    left, right = np.zeros_like(wall), np.zeros_like(wall)
-    below[:-1], above[1:], left[:, 1:], right[:, :-1] = wall[1:], wall[:-1], wall[:, :-1], wall[:, 1:]
-    return np.concatenate(
-        [
-            edges(void & below, lower_left, lower_right),
-            edges(void & right, lower_right, upper_right),
-            edges(void & above, upper_right, upper_left),
-            edges(void & left, upper_left, lower_left),
-        ]
+    sides = (  # where the wall is beyond a side of a pixel, and the ends of that side
+        (wall[2:, 1:-1], lower_left, lower_right),
+        (wall[1:-1, 2:], lower_right, upper_right),
+        (wall[:-2, 1:-1], upper_right, upper_left),
+        (wall[1:-1, :-2], upper_left, lower_left),
     )
+    return np.concatenate([np.column_stack([start[void & there], end[void & there]]) for there, start, end in sides])
 
 
 def boundary_edges(cells):

@@ -97,8 +97,7 @@ class Recipe:
     def __post_init__(self):
         choice("source", self.source, ("auto", "mnist", "digits"))
         for name, least in {"seed": 0, "n_structures": 1, "n_augmented": 1, "n_calibration": 0}.items():
-            if name != "n_structures" or self.n_structures is not None:
-                whole_number(name, getattr(self, name), least)
+            whole_number(name, getattr(self, name), least, optional=name == "n_structures")
         for name in ("training", "sampling", "samplers", "student", "tuning"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} must be a mapping of options, not {getattr(self, name)!r}")

@@ -17,8 +17,8 @@ from torch import Tensor, nn
 
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib._checks import whole_number
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.datasets.split import training_rows
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import basic, columns, name_of

@@ -42,8 +42,7 @@ def augment(images: np.ndarray, n_samples: int | None = None, seed: int = 0, max
     """
     whole_number("max_shift", max_shift, 0, FRAME)
     whole_number("seed", seed, 0)
-    if n_samples is not None:
-        whole_number("n_samples", n_samples, 1)
+    whole_number("n_samples", n_samples, 1, optional=True)
     variants = _allowed_variants(_structure_boxes(images), max_shift)
     n_images = len(images)
     originals, others = variants[:n_images], variants[n_images:]

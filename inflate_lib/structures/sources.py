@@ -27,16 +27,13 @@ from inflate_lib.structures.labels import FRAME
 SOURCES = ("auto", "mnist", "digits")
 CHOSEN = "INFLATE_SOURCE"  # set by --source: what "auto" is to mean
 _DESCRIPTIONS = {"train": "MNIST training sevens", "test": "MNIST test sevens", "digits": "scikit-learn digits"}
-_FILES = {
-    "train": ("train-images-idx3-ubyte", "train-labels-idx1-ubyte"),
-    "test": ("t10k-images-idx3-ubyte", "t10k-labels-idx1-ubyte"),
-}
 _SHA256 = {  # of the decompressed files
     "train-images-idx3-ubyte": "ba891046e6505d7aadcbbe25680a0738ad16aec93bde7f9b65e87a2fc25776db",
     "train-labels-idx1-ubyte": "65a50cbbf4e906d70832878ad85ccda5333a97f0f4c3dd2ef09a8a9eef7101c5",
     "t10k-images-idx3-ubyte": "0fa7898d509279e482958e8ce81c8e77db3f2f8254e26661ceb7762c4d494ce7",
     "t10k-labels-idx1-ubyte": "ff7bcfd416de33731a308c3f266cc351222c34898ecbeaf847f06e48f7ec33f2",
 }
+_FILES = {"train": tuple(_SHA256)[:2], "test": tuple(_SHA256)[2:]}  # images, labels
 _MIRRORS = (
     "https://ossci-datasets.s3.amazonaws.com/mnist/",
     "https://storage.googleapis.com/cvdf-datasets/mnist/",
@@ -103,8 +100,7 @@ def load_sevens(source: str = "auto", limit: int | None = None, split: str = "tr
         ``source="mnist"``, no folder is named and no mirror delivers.
     """
     choice("split", split, _FILES)
-    if limit is not None:
-        whole_number("limit", limit, 1)
+    whole_number("limit", limit, 1, optional=True)
     source = resolve_source(source)
     images = _mnist_sevens(split) if source == "mnist" else _embedded_sevens()
     description = _DESCRIPTIONS[split if source == "mnist" else "digits"]

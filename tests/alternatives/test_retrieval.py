@@ -5,7 +5,7 @@ import pytest
 from invented import invented_data
 
 from inflate_lib.alternatives.retrieval import random_structures, retrieved_structures
-from inflate_lib.datasets.split import training_rows
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.experiments.metrics import errors
 from inflate_lib.experiments.run import held_out_targets

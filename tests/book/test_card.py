@@ -7,8 +7,8 @@ import pytest
 
 from inflate_lib import load_model, paths
 from inflate_lib.book.card import write_card
+from inflate_lib.datasets.pairs import held_out
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.datasets.split import held_out
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.experiments import calibrate

@@ -5,7 +5,7 @@ import pytest
 from invented import invented_data
 
 from inflate_lib import paths
-from inflate_lib.datasets.split import training_rows
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
 from inflate_lib.experiments.run import check_targets, held_out_targets, run_experiment

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from inflate_lib import describe, inflate, label_image
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.datasets.split import training_rows
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
 from inflate_lib.inverse.candidates import Neighbours, _corrected, differences
 from inflate_lib.inverse.constraints import Constraints

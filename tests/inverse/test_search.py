@@ -12,8 +12,8 @@ from scipy import ndimage
 
 from inflate_lib import describe, design, inflate, label_image, paths
 from inflate_lib.cli import app
+from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulate_dataset
-from inflate_lib.datasets.split import training_rows
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.diffusion import TrainedModel, TrainingConfig

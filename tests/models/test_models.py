@@ -15,9 +15,8 @@ import xarray as xr
 import yaml
 
 from inflate_lib import paths
-from inflate_lib.datasets.pairs import TrainingSet
+from inflate_lib.datasets.pairs import TrainingSet, held_out
 from inflate_lib.datasets.simulate import simulated_sevens
-from inflate_lib.datasets.split import held_out
 from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.diffusion import TrainedModel, storage
