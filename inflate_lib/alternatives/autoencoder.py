@@ -16,7 +16,7 @@ from inflate_lib.datasets.pairs import TrainingSet, training_rows
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.randomness import initialised, random_generator, seed_for
-from inflate_lib.experiments.run import check_targets, judge_once
+from inflate_lib.experiments.run import check_targets, judge_once, model_digest
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.surrogate import train_once
 
@@ -157,8 +157,7 @@ def run_autoencoder(
     workers(n_jobs)
     targets = check_targets(model, descriptor, targets)
     told = targets if calibration is None else calibration.told(targets)
-    weights = [value.numpy() for _, value in sorted(model.net.state_dict().items())]
-    key = {"model": digest(*weights, model.condition_min, model.condition_max), "told": digest(told), "seed": seed}
+    key = {"model": model_digest(model), "told": digest(told), "seed": seed}
 
     def draw(scratch):
         return model.generate(told, seed_for(seed, descriptor))

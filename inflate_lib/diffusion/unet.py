@@ -15,6 +15,7 @@ from torch.nn import functional as F
 from inflate_lib._checks import choice, whole_number
 
 CONDITIONINGS = ("scale-shift", "add")
+_GROUPS = 8  # of each normalisation; where it does not divide the channels, the largest common divisor
 
 
 def sinusoidal_embedding(t: Tensor, width: int) -> Tensor:
@@ -94,8 +95,6 @@ class UNet(nn.Module):
         How ζ enters a residual block.
     attention : bool
         Self-attention in the middle, on the coarsest grid.
-    groups : int
-        Groups of each normalisation (the largest common divisor with the channels where it does not divide).
     parts : sequence of int
         Lengths of the parts of y, in order, each of which may be withheld by NaN; empty: y is given or withheld whole.
     told_guidance : bool
@@ -111,13 +110,12 @@ class UNet(nn.Module):
         blocks: int = 1,
         conditioning: str = "scale-shift",
         attention: bool = False,
-        groups: int = 8,
         parts: Sequence[int] = (),
         told_guidance: bool = False,
     ) -> None:
         super().__init__()
         whole_number("n_conditions", n_conditions, 0)
-        for name, value in (("embedding", embedding), ("hidden", hidden), ("blocks", blocks), ("groups", groups)):
+        for name, value in (("embedding", embedding), ("hidden", hidden), ("blocks", blocks)):
             whole_number(name, value, 1)
         if parts and sum(parts) != n_conditions:
             raise ValueError(f"parts of lengths {tuple(parts)} do not make up {n_conditions} conditions")
@@ -140,7 +138,7 @@ class UNet(nn.Module):
             _zero(self.strength[2])  # until it is trained, no strength makes a difference
 
         def block(inputs, outputs):
-            return ResidualBlock(inputs, outputs, embedding, groups, conditioning == "scale-shift")
+            return ResidualBlock(inputs, outputs, embedding, _GROUPS, conditioning == "scale-shift")
 
         def stages(widths):  # at each scale the first block changes the width
             return nn.ModuleList(block(a if i == 0 else b, b) for a, b in widths for i in range(blocks))
@@ -151,11 +149,11 @@ class UNet(nn.Module):
         self.down_blocks = stages([(first, first), *pairs])
         self.downs = nn.ModuleList([nn.Conv2d(c, c, 3, stride=2, padding=1) for c in channels[:-1]])
         self.middle = nn.ModuleList([block(last, last), block(last, last)])
-        self.attention = _Attention(last, max(1, last // 64), groups) if attention else nn.Identity()
+        self.attention = _Attention(last, max(1, last // 64), _GROUPS) if attention else nn.Identity()
         pairs.reverse()
         self.ups = nn.ModuleList([nn.Conv2d(coarse, fine, 3, padding=1) for fine, coarse in pairs])
         self.up_blocks = stages([(2 * last, last), *((2 * fine, fine) for fine, _ in pairs)])
-        self.norm = nn.GroupNorm(math.gcd(groups, first), first)
+        self.norm = nn.GroupNorm(math.gcd(_GROUPS, first), first)
         self.out = nn.Conv2d(first, 1, 3, padding=1)
         _zero(self.out)
         self.to(memory_format=torch.channels_last)

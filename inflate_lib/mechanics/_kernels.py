@@ -40,11 +40,6 @@ class Pattern(NamedTuple):
     columns: np.ndarray  # (b,) the columns of each row, increasing
 
     @property
-    def n_blocks(self):
-        """Number of blocks, those of the diagonal included."""
-        return len(self.rows) + len(self.order)
-
-    @property
     def multiplications(self):
         """Multiplications (and as many additions) of one factorisation, apart from the inverses of the pivots."""
         below = np.diff(self.column_start)
@@ -120,7 +115,13 @@ def pattern(n_nodes, cells):
     """
     cells = np.asarray(cells, dtype=np.int64)
     valence = np.bincount(cells[cells >= 0], minlength=1).max(initial=1)
-    return Pattern(*_eliminate(n_nodes, cells, valence))
+    order, start, members = _eliminate(n_nodes, cells, valence)
+    number = np.empty_like(order)
+    number[order] = np.arange(n_nodes)
+    rows, columns = number[members], np.repeat(np.arange(n_nodes), np.diff(start))
+    row_start = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n_nodes))])
+    by_column, by_row = np.sort(columns * n_nodes + rows), np.sort(rows * n_nodes + columns)
+    return Pattern(order, start, by_column % n_nodes, row_start, by_row % n_nodes)
 
 
 @njit(cache=True, nogil=True)
@@ -175,29 +176,7 @@ def _eliminate(n, cells, valence):
                             neighbours += 1
             elements[node, kept] = m + j
             n_elements[node], degree[node] = kept + 1, neighbours
-
-    number = np.empty(n, dtype=np.int64)
-    for j in range(n):
-        number[order[j]] = j
-    # Sorted by counting: columns into rows, and rows back into columns.
-    total = start[n]
-    row_start, columns, rows = np.zeros(n + 1, dtype=np.int64), np.empty(total, np.int64), np.empty(total, np.int64)
-    for k in range(total):
-        row_start[number[members[k]] + 1] += 1
-    for row in range(n):
-        row_start[row + 1] += row_start[row]
-    end_of_row, end_of_column = row_start[:-1].copy(), start[:-1].copy()
-    for j in range(n):
-        for k in range(start[j], start[j + 1]):
-            row = number[members[k]]
-            columns[end_of_row[row]] = j
-            end_of_row[row] += 1
-    for row in range(n):
-        for k in range(row_start[row], row_start[row + 1]):
-            column = columns[k]
-            rows[end_of_column[column]] = row
-            end_of_column[column] += 1
-    return order, start, rows, row_start, columns
+    return order, start, members[: start[n]]
 
 
 @njit(cache=True, nogil=True)

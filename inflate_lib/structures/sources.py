@@ -26,14 +26,12 @@ from inflate_lib.structures.labels import FRAME
 
 SOURCES = ("auto", "mnist", "digits")
 CHOSEN = "INFLATE_SOURCE"  # set by --source: what "auto" is to mean
-_DESCRIPTIONS = {"train": "MNIST training sevens", "test": "MNIST test sevens", "digits": "scikit-learn digits"}
+_DESCRIPTIONS = {"mnist": "MNIST training sevens", "digits": "scikit-learn digits"}
 _SHA256 = {  # of the decompressed files
     "train-images-idx3-ubyte": "ba891046e6505d7aadcbbe25680a0738ad16aec93bde7f9b65e87a2fc25776db",
     "train-labels-idx1-ubyte": "65a50cbbf4e906d70832878ad85ccda5333a97f0f4c3dd2ef09a8a9eef7101c5",
-    "t10k-images-idx3-ubyte": "0fa7898d509279e482958e8ce81c8e77db3f2f8254e26661ceb7762c4d494ce7",
-    "t10k-labels-idx1-ubyte": "ff7bcfd416de33731a308c3f266cc351222c34898ecbeaf847f06e48f7ec33f2",
 }
-_FILES = {"train": tuple(_SHA256)[:2], "test": tuple(_SHA256)[2:]}  # images, labels
+_FILES = tuple(_SHA256)  # images, labels
 _MIRRORS = (
     "https://ossci-datasets.s3.amazonaws.com/mnist/",
     "https://storage.googleapis.com/cvdf-datasets/mnist/",
@@ -68,7 +66,7 @@ def resolve_source(source: str = "auto") -> str:
     if source != "auto":
         return source
     try:
-        for name in _FILES["train"]:
+        for name in _FILES:
             _locate(name)
     except ConnectionError as error:
         print(f"{error}\nUsing the embedded scikit-learn digits instead of MNIST.")
@@ -76,7 +74,7 @@ def resolve_source(source: str = "auto") -> str:
     return "mnist"
 
 
-def load_sevens(source: str = "auto", limit: int | None = None, split: str = "train") -> Sevens:
+def load_sevens(source: str = "auto", limit: int | None = None) -> Sevens:
     """Load the sevens of MNIST or of the embedded digits.
 
     Parameters
@@ -85,8 +83,6 @@ def load_sevens(source: str = "auto", limit: int | None = None, split: str = "tr
         See :func:`resolve_source`.
     limit : int, optional
         Keep the first ``limit`` sevens. More than there are means all of them, with a line that says so.
-    split : {"train", "test"}
-        MNIST's 6265 training sevens (the paper's) or its 1028 test sevens; the embedded digits are not split.
 
     Raises
     ------
@@ -99,11 +95,10 @@ def load_sevens(source: str = "auto", limit: int | None = None, split: str = "tr
     ConnectionError
         ``source="mnist"``, no folder is named and no mirror delivers.
     """
-    choice("split", split, _FILES)
     whole_number("limit", limit, 1, optional=True)
     source = resolve_source(source)
-    images = _mnist_sevens(split) if source == "mnist" else _embedded_sevens()
-    description = _DESCRIPTIONS[split if source == "mnist" else "digits"]
+    images = _mnist_sevens() if source == "mnist" else _embedded_sevens()
+    description = _DESCRIPTIONS[source]
     if limit is not None and limit > len(images):
         print(f"{limit} sevens were asked for; {description} are {len(images)}, so all of them are used.")
     return Sevens(images[:limit], source, description)
@@ -111,13 +106,13 @@ def load_sevens(source: str = "auto", limit: int | None = None, split: str = "tr
 
 def at_hand(source: str) -> bool:
     """Whether the training images of a source are here, so that nothing would have to be downloaded."""
-    return source == "digits" or bool(os.environ.get("INFLATE_MNIST_DIR")) or all(map(_is_kept, _FILES["train"]))
+    return source == "digits" or bool(os.environ.get("INFLATE_MNIST_DIR")) or all(map(_is_kept, _FILES))
 
 
-def _mnist_sevens(split):
-    images_name, labels_name = _FILES[split]
-    labels = np.frombuffer(_read(labels_name), np.uint8, offset=8)
-    pixels = np.frombuffer(_read(images_name), np.uint8, offset=16)
+def _mnist_sevens():
+    images, labels = _FILES
+    labels = np.frombuffer(_read(labels), np.uint8, offset=8)
+    pixels = np.frombuffer(_read(images), np.uint8, offset=16)
     return pixels.reshape(-1, FRAME, FRAME)[labels == 7]
 
 
@@ -204,21 +199,16 @@ def _download(name):
 
 def _fetch(url, sha256):
     """The decompressed bytes behind an address, in memory: whatever fails here is the network's."""
-    pooch, zipped = _pooch(), io.BytesIO()
+    with warnings.catch_warnings():  # of tqdm, which pooch would use and which misses widgets in a notebook
+        warnings.simplefilter("ignore")
+        import pooch
+    zipped = io.BytesIO()
     pooch.get_logger().setLevel("WARNING")
     pooch.HTTPDownloader(timeout=_TIMEOUT)(url, zipped, None)
     content = gzip.decompress(zipped.getvalue())
     if hashlib.sha256(content).hexdigest() != sha256:
         raise ValueError(f"{url} has other bytes than it should")
     return content
-
-
-def _pooch():
-    """The module, imported without a word from tqdm, which pooch would use and which misses widgets in a notebook."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import pooch
-    return pooch
 
 
 def _embedded_sevens():

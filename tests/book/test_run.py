@@ -414,7 +414,7 @@ def test_missing_data_are_found_before_anything_runs(home, monkeypatch):
 def test_other_data_are_used_only_where_they_are_asked_for(home, monkeypatch):
     for number, name in enumerate(("01_first", "02_second")):
         add(home, name, f"x = {number}", head=HEADER.replace("steps = 10", 'source = "auto"  # data\nsteps = 10'))
-    for name in sources._FILES["train"]:  # to see whether MNIST can be had, nobody reads it
+    for name in sources._FILES:  # to see whether MNIST can be had, nobody reads it
         (home / name).write_text("")
     monkeypatch.setenv("INFLATE_MNIST_DIR", str(home))
     monkeypatch.setenv("INFLATE_SOURCE", "digits")

@@ -17,7 +17,7 @@ from inflate_lib._cache import CacheError
 from inflate_lib.structures import sources
 from inflate_lib.structures.sources import _FILES, at_hand, load_sevens, resolve_source
 
-IMAGES, LABELS = _FILES["train"]
+IMAGES, LABELS = _FILES
 
 
 @pytest.fixture(autouse=True)
@@ -94,7 +94,7 @@ def test_what_was_remembered_and_damaged_is_replaced(small_mnist, cache):
     flip_a_bit(cache / IMAGES)
     load_sevens()
     assert np.array_equal(np.frombuffer((cache / IMAGES).read_bytes()[16:], np.uint8)[:784], expected[0].ravel())
-    assert sorted(path.name for path in cache.iterdir()) == sorted(_FILES["train"])
+    assert sorted(path.name for path in cache.iterdir()) == sorted(_FILES)
 
 
 def test_nothing_damaged_is_remembered(small_mnist, cache):
@@ -176,7 +176,7 @@ def make_empty(path):
 
 
 @pytest.mark.parametrize("source", ["auto", "mnist"])
-@pytest.mark.parametrize("name", _FILES["train"])
+@pytest.mark.parametrize("name", _FILES)
 @pytest.mark.parametrize("damage", [truncate, flip_a_bit, change_a_pixel, not_gzip, make_empty])
 def test_damaged_files_are_named_and_not_used(small_mnist, damage, name, source):
     folder, _ = small_mnist
@@ -262,7 +262,7 @@ def test_second_mirror_serves_when_the_first_one_lies(small_mnist, no_folder, mo
     assert len(asked) == 4
     assert np.array_equal(load_sevens("auto").images, expected)
     assert len(asked) == 4  # now from the cache
-    assert sorted(path.name for path in (paths.CACHE / "mnist").iterdir()) == sorted(_FILES["train"])
+    assert sorted(path.name for path in (paths.CACHE / "mnist").iterdir()) == sorted(_FILES)
 
 
 def test_damaged_cache_is_downloaded_again(small_mnist, no_folder, monkeypatch):
