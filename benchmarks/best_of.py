@@ -12,12 +12,12 @@ import pandas as pd
 from stored import store
 
 from inflate_lib.alternatives.best_of import seconds_per_structure, selection
+from inflate_lib.alternatives.surrogate import train_surrogate
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS
 from inflate_lib.experiments.calibrate import calibrate_all
 from inflate_lib.experiments.run import held_out_targets, run_experiment
 from inflate_lib.models.recipe import load_recipe
-from inflate_lib.models.surrogate import train_surrogate
 from inflate_lib.models.weights import trained_models
 
 

@@ -21,6 +21,7 @@ from stored import store
 
 from inflate_lib._cache import cached, code_version, digest, step_version
 from inflate_lib.alternatives.steering import run_steered, steer
+from inflate_lib.alternatives.surrogate import train_surrogate
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import describe, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
@@ -33,7 +34,6 @@ from inflate_lib.inverse.targets import Targets
 from inflate_lib.mechanics.adjoint import flip_changes, sensitivities
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.models.recipe import load_recipe
-from inflate_lib.models.surrogate import train_surrogate
 from inflate_lib.models.weights import load_model
 
 DESCRIPTOR = "height"  # a scalar with a sensitivity

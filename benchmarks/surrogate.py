@@ -13,13 +13,13 @@ import pandas as pd
 from stored import store
 
 from inflate_lib._cache import step_version
+from inflate_lib.alternatives.students import judge_of
 from inflate_lib.datasets.pairs import held_out
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.experiments.metrics import r_squared
 from inflate_lib.models.recipe import load_recipe
-from inflate_lib.models.train import judge_of
 
 
 def main():

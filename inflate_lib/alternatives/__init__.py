@@ -1,4 +1,4 @@
-"""What else could be done: chance, retrieval, an autoencoder, steering, best of many, other recipes."""
+"""What else could be done: chance, retrieval, an autoencoder, a surrogate, steering, best of many, other recipes."""
 
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from inflate_lib.alternatives.best_of import selection
     from inflate_lib.alternatives.retrieval import random_structures, retrieved_structures
     from inflate_lib.alternatives.steering import steer
+    from inflate_lib.alternatives.surrogate import train_surrogate
 
 __all__ = [
     "random_structures",
@@ -18,6 +19,7 @@ __all__ = [
     "selection",
     "steer",
     "train_autoencoder",
+    "train_surrogate",
     "training_variants",
 ]
 __getattr__, __dir__ = attach(__name__, __file__)

@@ -12,13 +12,13 @@ from torch import Tensor, nn
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import whole_number, workers
+from inflate_lib.alternatives.surrogate import train_once
 from inflate_lib.datasets.pairs import TrainingSet, training_rows
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.randomness import initialised, random_generator, seed_for
 from inflate_lib.experiments.run import check_targets, judge_once, model_digest
 from inflate_lib.models.calibration import Calibration
-from inflate_lib.models.surrogate import train_once
 
 _LATENT = 4  # numbers that the autoencoder describes an image by, besides the descriptor
 _FINER = (16, 32)  # channels on 28 and on 14 pixels a side

@@ -18,13 +18,13 @@ from torch import Tensor
 
 from inflate_lib._cache import digest
 from inflate_lib._checks import number, whole_number
+from inflate_lib.alternatives.surrogate import Surrogate, soft_label
 from inflate_lib.diffusion import process
 from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.diffusion.sampling import denoise, guided, noise_images
 from inflate_lib.diffusion.schedule import at
 from inflate_lib.experiments.run import check_targets, judge_once, model_digest
 from inflate_lib.models import Model
-from inflate_lib.models.surrogate import Surrogate, soft_label
 
 _LARGEST = 0.5  # change of a pixel in one step, of the range from −1 to 1
 

@@ -28,6 +28,7 @@ def train(
     A machine that has little but PyTorch: --pack pairs.safetensors, and there python -m inflate_lib.models.remote …
     """
     paths.need_checkout("inflate train")
+    from inflate_lib.alternatives.students import student_file
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
     from inflate_lib.diffusion import ranks, storage
@@ -79,7 +80,7 @@ def train(
             save_reach(data, out)
             for name in names:
                 if recipe.student:
-                    student = train.student_file(out / f"{name}.safetensors", recipe, data)
+                    student = student_file(out / f"{name}.safetensors", recipe, data)
                     text += "\n" + _export(student, name, told, out / STUDENTS)
                 try:
                     calibrate_weights(out, data, recipe, [name])

@@ -9,7 +9,6 @@ RETRAIN = "INFLATE_RETRAIN"  # set by --retrain: models are trained, though data
 if TYPE_CHECKING:
     from inflate_lib.models.calibration import Calibration
     from inflate_lib.models.recipe import Recipe, load_recipe
-    from inflate_lib.models.surrogate import train_surrogate
     from inflate_lib.models.train import train_models
     from inflate_lib.models.weights import Model, committed_weights, load_model, trained_models
 
@@ -21,7 +20,6 @@ __all__ = [
     "load_model",
     "load_recipe",
     "train_models",
-    "train_surrogate",
     "trained_models",
 ]
 __getattr__, __dir__ = attach(__name__, __file__)

@@ -17,13 +17,10 @@ from joblib import Parallel, delayed, effective_n_jobs
 from inflate_lib._cache import cached, digest, step_version
 from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
-from inflate_lib.descriptors.registry import JOINT
-from inflate_lib.diffusion import TrainedModel, ranks, storage, train
-from inflate_lib.diffusion.distillation import distil, tune
+from inflate_lib.diffusion import ranks, storage, train
 from inflate_lib.diffusion.training import choose_device
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.remote import train_and_test
-from inflate_lib.models.surrogate import Surrogate, blends_of, critic, train_surrogate
 
 
 def training_set(descriptor: str, recipe: Recipe, data) -> TrainingSet:
@@ -99,60 +96,6 @@ def trained_model_file(
     path = cached("model", key, make, ".safetensors")
     ranks.share(False)
     return path
-
-
-def student_file(path: Path, recipe: Recipe, data) -> Path:
-    """Distil guidance into a student of a trained model, and tune it, or find it in the cache.
-
-    Parameters
-    ----------
-    path : path_like
-        The teacher's file, in 16 bits, as it is handed out.
-    recipe, data
-        See :func:`trained_model_file`; the recipe has a section ``student``.
-    """
-    teacher = TrainedModel.load(path)
-    pairs = training_set(teacher.metadata["descriptor"], recipe, data)
-    config = replace(teacher.config, **recipe.student)
-
-    def make(target, scratch):
-        distil(teacher, *pairs.pairs, config, scratch, f"distilling {pairs.descriptor}").save(target)
-
-    key = pairs.about | {"training": config.recipe(), "teacher": teacher.fingerprint, "code": step_version("model")}
-    path = cached("model", key, make, ".safetensors")
-    return tuned_file(path, teacher, recipe, data) if recipe.tuning else path
-
-
-def tuned_file(path: Path, teacher: TrainedModel, recipe: Recipe, data) -> Path:
-    """Tune a student by a surrogate of the simulation, or find it in the cache.
-
-    Parameters
-    ----------
-    path : path_like
-        The student's file.
-    teacher : TrainedModel
-    recipe, data
-        See :func:`trained_model_file`; the recipe has a section ``tuning``.
-    """
-    student = TrainedModel.load(path)
-    pairs = training_set(student.metadata["descriptor"], recipe, data)
-    options = recipe.tuned(pairs.descriptor)
-
-    def make(target, scratch):
-        surrogate = judge_of(data, recipe)
-        loss, how = critic(surrogate, student, pairs.descriptor), (options["steps"], options["weight"])
-        tune(student, teacher, loss, *pairs.pairs, *how, scratch, f"{pairs.descriptor}").save(target)
-
-    key = pairs.about | {"student": student.fingerprint, "tuning": options, "code": step_version("model")}
-    return cached("model", key, make, ".safetensors")
-
-
-def judge_of(data, recipe: Recipe) -> Surrogate:
-    """The surrogate that tunes the students of a recipe: it knows all parts of the joint descriptor, and blends."""
-    options = recipe.tuned()
-    steps, further = options["surrogate_steps"], blends_of(data, options["blends"], recipe.seed)
-    widths = 12, 24, 48
-    return train_surrogate(data, steps, recipe.seed, answers=JOINT, further=further, channels=widths, batch_size=128)
 
 
 def train_models(

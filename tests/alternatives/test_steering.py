@@ -11,8 +11,8 @@ from torch import nn
 
 from inflate_lib import paths
 from inflate_lib.alternatives.steering import _correction, steer
+from inflate_lib.alternatives.surrogate import Surrogate, centred, soft_label
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
-from inflate_lib.models.surrogate import Surrogate, centred, soft_label
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.evaluation import plot_controls
 from inflate_lib.structures.labels import FRAME, label_image

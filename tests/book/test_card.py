@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from inflate_lib import load_model, paths
+from inflate_lib.alternatives.students import student_file
 from inflate_lib.book.card import write_card
 from inflate_lib.datasets.pairs import held_out
 from inflate_lib.datasets.simulate import simulated_sevens
@@ -17,7 +18,7 @@ from inflate_lib.experiments.run import inside, run_experiment, run_held_out
 from inflate_lib.experiments.tables import scores, with_interval
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import Recipe
-from inflate_lib.models.train import student_file, train_models
+from inflate_lib.models.train import train_models
 from inflate_lib.models.weights import Model, trained_models
 
 TRAINING = {"channels": [4, 8], "embedding": 16, "objective": "v", "steps": 4, "batch_size": 8, "device": "cpu"}

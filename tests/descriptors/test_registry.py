@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from inflate_lib import describe, design, inflate, label_image, load_sevens, paths, simulate_dataset
+from inflate_lib.alternatives.surrogate import train_surrogate
 from inflate_lib.datasets import simulate
 from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.descriptors import Descriptor, descriptor_matrix, get_descriptor, register, registry
@@ -18,7 +19,6 @@ from inflate_lib.inverse import candidates
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.mechanics.adjoint import sensitivities
 from inflate_lib.models.reach import check_reach, load_reach, save_reach
-from inflate_lib.models.surrogate import train_surrogate
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.designs import plot_designs
 from inflate_lib.plotting.evaluation import plot_held_out, plot_selection

@@ -6,10 +6,10 @@ import torch
 from invented import invented_data
 
 from inflate_lib import paths
+from inflate_lib.alternatives import surrogate
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
-from inflate_lib.models import surrogate
 
 RNG = np.random.default_rng(3)
 

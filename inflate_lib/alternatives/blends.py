@@ -13,7 +13,7 @@ _THICKER = 0.15  # pixels by which a blend grows or shrinks besides: standard de
 def blend(images: np.ndarray, n: int, seed: int = 0) -> np.ndarray:
     """New structures between two others: the signed distances from their borders are averaged, with a random weight.
 
-    They have to be simulated like any other; :mod:`inflate_lib.models.surrogate` learns from them.
+    They have to be simulated like any other; :mod:`inflate_lib.alternatives.surrogate` learns from them.
 
     Parameters
     ----------

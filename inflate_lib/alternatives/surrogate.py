@@ -15,8 +15,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._cache import cached, code_version, digest, step_version
 from inflate_lib._checks import whole_number
+from inflate_lib.alternatives.blends import blend
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -26,7 +27,6 @@ from inflate_lib.diffusion import TrainedModel, storage
 from inflate_lib.diffusion.loop import fit
 from inflate_lib.diffusion.randomness import initialised
 from inflate_lib.structures import labels
-from inflate_lib.structures.blends import blend
 from inflate_lib.structures.labels import FRAME, label_image
 
 if TYPE_CHECKING:
@@ -162,7 +162,12 @@ def blends_of(data: "xr.Dataset", n: int, seed: int = 0) -> "xr.Dataset":
     def make(target, scratch):
         save_dataset(simulate_dataset(blend(images, n, seed), folder=scratch), target)
 
-    key = {"blends of": digest(images), "n": n, "seed": seed, "code": step_version("dataset")}
+    key = {
+        "blends of": digest(images),
+        "n": n,
+        "seed": seed,
+        "code": step_version("dataset") + code_version("inflate_lib.alternatives.blends"),
+    }
     return load_dataset(cached("blends", key, make, ".nc"))
 
 
@@ -253,7 +258,7 @@ def train_once(
         history, seconds = fit(net, loss, pairs, **options, learning_rate=_RATE, folder=scratch, progress=progress)
         storage.write(target, kind, net.state_dict(), {"history": history, "seconds": seconds})
 
-    path = cached(kind, {**key, **options, "code": step_version("model")}, make, ".safetensors")
+    path = cached(kind, {**key, **options, "code": step_version("alternative")}, make, ".safetensors")
     tensors, content = storage.read(path, kind)
     storage.fill(net.state_dict(), tensors, path)
     net.eval()
