@@ -13,10 +13,11 @@ from torch import Tensor, nn
 from inflate_lib._cache import digest
 from inflate_lib._checks import whole_number, workers
 from inflate_lib.alternatives.surrogate import train_once
-from inflate_lib.datasets.pairs import TrainingSet, training_rows
+from inflate_lib.datasets.pairs import TrainingSet
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.randomness import initialised, random_generator, seed_for
+from inflate_lib.experiments.calibrate import questions
 from inflate_lib.experiments.run import check_targets, judge_once, model_digest
 from inflate_lib.models.calibration import Calibration
 
@@ -169,8 +170,7 @@ def calibrate_autoencoder(model, descriptor, data, seed=0, n=200, n_jobs=-1):
     """How an autoencoder answers (:mod:`inflate_lib.models.calibration`); None where n is 0 or it hardly listens."""
     if n == 0:
         return None
-    known = descriptor_matrix(data, descriptor)[training_rows(data)]
-    targets = known[np.random.default_rng([seed, 5]).permutation(len(known))[:n]]
+    targets = questions(data, descriptor, n, seed)
     answer = run_autoencoder(model, descriptor, targets, seed_for(seed, "calibration"), n_jobs)
     valid = answer["valid"].values
     try:

@@ -153,12 +153,17 @@ def answers(model, data, n=_N_ASKED, seed=0, descriptor=None, n_jobs=-1):
         What was asked for and what was achieved, of the m ≤ n structures that are valid.
     """
     descriptor = descriptor or model.name
-    known = descriptor_matrix(data, descriptor)[training_rows(data)]
-    targets = known[np.random.default_rng([seed, 5]).permutation(len(known))[:n]]
+    targets = questions(data, descriptor, n, seed)
     # No experiment's noise may be the noise that was calibrated on.
     answer = run_experiment(model.sampled(), targets, 1, seed_for(seed, "calibration"), descriptor, n_jobs)
     valid = answer["valid"].values
     return targets[valid], descriptor_matrix(answer, descriptor)[valid]
+
+
+def questions(data, descriptor, n, seed):
+    """Descriptors (m, N) of m ≤ n training structures, for which a model is asked to see how it answers."""
+    known = descriptor_matrix(data, descriptor)[training_rows(data)]
+    return known[np.random.default_rng([seed, 5]).permutation(len(known))[:n]]
 
 
 def _combinations(joint):

@@ -135,12 +135,10 @@ def diversity(
         found = {"generated": experiment["image"].values[mine], "data": data["image"].values[real[order[: mine.sum()]]]}
         row: dict[str, float] = {"target": int(level) + 1, "n": int(mine.sum())}
         for name, images in found.items():
-            apart = pairwise(images) if len(images) > 1 else np.full((len(images), len(images)), np.nan)
-            row[name] = _mean_pairwise(apart)
-            low, high = (np.nan, np.nan)
-            if len(images) > 1:
+            apart, low, high = pairwise(images), np.nan, np.nan
+            if len(images):
                 low, high = bootstrap(lambda r, d=apart: _mean_pairwise(d, r), len(images), None, seed, n_resamples)
-            row |= {f"{name} low": float(low), f"{name} high": float(high)}
+            row |= {name: _mean_pairwise(apart), f"{name} low": float(low), f"{name} high": float(high)}
         rows.append(row | {"ratio": row["generated"] / row["data"]})
     return pd.DataFrame(rows)
 
