@@ -7,7 +7,6 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -267,8 +266,16 @@ def _own(name, symbol, measure=None, **properties):
     _registry[name] = Descriptor(name, symbol, measure, **properties)
 
 
-def _extent(direction, shape):
-    return np.ptp(shape.nodes[:, direction])
+def _height(shape):
+    return np.ptp(shape.nodes[:, 1])
+
+
+def _width(shape):
+    return np.ptp(shape.nodes[:, 0])
+
+
+def _area(shape):
+    return shape.hull_area
 
 
 def _axis(shape):
@@ -363,7 +370,7 @@ def _draw_polygon(ax, corners, nodes, color=None, **style):
 _own(
     "height",
     "h",
-    partial(_extent, 1),
+    _height,
     meaning="deformed height h",
     unit="side",
     check=positive_number,
@@ -373,7 +380,7 @@ _own(
 _own(
     "width",
     "w",
-    partial(_extent, 0),
+    _width,
     meaning="deformed width w",
     unit="side",
     check=positive_number,
@@ -392,7 +399,7 @@ _own(
 _own(
     "area",
     "A",
-    attrgetter("hull_area"),
+    _area,
     title="hull area",
     meaning="area A of the deformed convex hull",
     unit="side²",
