@@ -439,7 +439,7 @@ _own(
     meaning="medial axis of the deformed shape, bottom to top, first point at the origin",
     components=tuple(f"{x} of point {k}" for k in range(geometry.AXIS_POINTS) for x in "xy"),
     unit="side",
-    variable="geometry.medial_axis",
+    variable="medial_axis",
     sizes={"point": geometry.AXIS_POINTS, "axis": 2},
     flip=geometry.mirror_axis,
     error=POINT_DISTANCE,
