@@ -14,7 +14,7 @@ def _is_whole_number(value: Any) -> bool:
 
 
 def whole_number(name: str, value: Any, least: int, most: int | None = None, optional: bool = False) -> int:
-    """`value` as an int, or a ValueError where it is none from `least` to `most`; if `optional`, None is let through."""
+    """`value` as an int, or a ValueError where it is none from `least` to `most`; `optional` lets None through."""
     if optional and value is None:
         return value
     if _is_whole_number(value) and least <= value and (most is None or value <= most):

@@ -46,21 +46,12 @@ class Shape:
             if not np.isfinite(nodes).all():
                 raise ValueError(f"the structure has no equilibrium to describe: {result.reason}")
         else:
-            nodes, inflation = _checked(result), None
+            nodes, inflation = check_points("nodes", result), None
         try:
             hull = ConvexHull(nodes)
-        except QhullError:
+        except (QhullError, ValueError):  # of fewer than three nodes as well
             raise ValueError("the deformed nodes span no area, so they have no convex hull") from None
         return cls(nodes, nodes[hull.vertices], float(hull.volume), inflation)
-
-
-def _checked(nodes):
-    nodes = numbers("nodes", nodes, "coordinates of shape (n, 2)", finite=False)
-    if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) < 3:
-        raise ValueError(f"nodes: coordinates of shape (n, 2) of three nodes or more are needed, not {nodes.shape}")
-    if not np.isfinite(nodes).all():
-        raise ValueError("nodes: some coordinates are NaN or infinite")
-    return nodes
 
 
 def medial_axis(hull: np.ndarray, points: int = AXIS_POINTS) -> np.ndarray:
