@@ -121,7 +121,9 @@ def run_held_out(
     the same numbers. The noise is not that of :func:`run_experiment` with the same seed. Parameters are those of it and
     of :func:`held_out_targets`.
     """
+    whole_number("seed", seed, 0)
     workers(n_jobs)
+    whole_number("n", n, 1, optional=True)
     descriptor = descriptor or model.name
     targets, _ = held_out_targets(data, descriptor, model, n, seed)
     return run_experiment(model, targets, 1, held_out_seed(seed), descriptor, n_jobs)
