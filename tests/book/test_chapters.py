@@ -141,11 +141,28 @@ def test_retrieval_is_the_better_start_and_drawings_are_newer():
     assert error["height and width and area", "box", 4] < error["height and width and area", "joint", 4]
     assert error["height and stress", "joint", 1] < error["height and stress", "height", 1]
     assert error["area and axis", "joint", 4] < error["area and axis", "axis", 4]
+    one = pd.read_csv(paths.REFERENCE / "joint.csv").query("model == 'joint' and group == 'one target'")
+    buildable = one.set_index("targets")["buildable"]
+    peaks = ["stress", "stretch"]
+    assert buildable[peaks].between(40, 60).all() and buildable.drop(peaks).min() > 75
     outlines = pd.read_csv(paths.REFERENCE / "joint.csv").query("group == 'outline'").set_index("targets")
     whole, reduced = outlines.loc["outline"], outlines.loc["height and width and area and axis"]
     assert max(whole["median error low"], reduced["median error low"]) < min(
         whole["median error high"], reduced["median error high"]
     )
+
+
+def test_tuned_students_are_more_accurate_and_nearly_as_varied():
+    """As the chapter on training says in words."""
+    keys = ["descriptor", "way"]
+    students = pd.read_csv(paths.REFERENCE / "sampler_students.csv").set_index([*keys, "student"])
+    distilled, tuned = (students.xs(name, level="student") for name in ("distilled", "tuned"))
+    both = tuned.loc[distilled.index]
+    assert (both["R²"] > distilled["R²"]).all() and (both["median error"] < distilled["median error"]).all()
+    assert (distilled["variety"] - both["variety"]).max() < 0.02
+    axis, teacher = tuned.loc["axis"], pd.read_csv(paths.REFERENCE / "sampler.csv").set_index(keys).loc["axis"]
+    shared = axis.index.intersection(teacher.index)
+    assert len(shared) and (axis.loc[shared, "R²"] > teacher.loc[shared, "R²"]).all()
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
