@@ -4,7 +4,8 @@ PROFILE ?= laptop
 JOBS    ?= 2
 
 BIN     := .venv/bin
-PIP     := $(BIN)/python -m pip --disable-pip-version-check
+# Modules are compiled when they are first imported: most never are.
+INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --no-compile --constraint constraints.txt --editable
 NEEDS   := pyproject.toml constraints.txt
 
 .DEFAULT_GOAL := help
@@ -55,9 +56,9 @@ clean: ## remove the book, the executed notebooks and their figures (the cache i
 	touch $@
 
 .venv/installed: .venv/python $(NEEDS)
-	$(PIP) install --constraint constraints.txt --editable '.[book,design]'
+	$(INSTALL) '.[book,design]'
 	touch $@
 
-.venv/installed-%: .venv/installed
-	$(PIP) install --constraint constraints.txt --editable '.[$*]'
-	touch $@
+.venv/installed-%: .venv/python $(NEEDS)
+	$(INSTALL) '.[book,design,$*]'
+	touch .venv/installed $@

@@ -26,6 +26,7 @@ from inflate_lib.book.findings import FindingsBox
 from inflate_lib.book.page import SOURCES, recorded
 from inflate_lib.book.profiles import ProfileError, load_profile
 from inflate_lib.book.run import executed_under
+from inflate_lib.plotting.style import TEXT_WIDTH
 
 _HERO_NOTEBOOK = "22_explorer"
 _HERO = "glance"  # published by it
@@ -156,17 +157,43 @@ def _add_badge(app, doctree):
         title.parent.insert(title.parent.index(title) + 1, badge(stamp))
 
 
-def _let_wide_pictures_scroll(app, doctree):
-    """A picture more than twice as wide as high gets a box of its own, in which a phone can show it large enough."""
+def _size_pictures(app, doctree):
+    """A figure is as wide as it was drawn, so that letters have one size on all; a phone scrolls wide ones sideways."""
     for picture in list(doctree.findall(nodes.image)):
         file = Path(app.srcdir, picture["uri"])
         if file.suffix == ".png" and file.is_file():
             with Image.open(file) as opened:
                 wide = opened.width > 2 * opened.height
+                inches = opened.width / opened.info.get("dpi", (100, 100))[0]
+            picture["width"] = f"{min(100, round(100 * 2.54 * inches / TEXT_WIDTH))}%"
             if wide:
                 box = nodes.container(classes=["wide-picture"])
                 picture.replace_self(box)
                 box += picture
+
+
+def _typeset(number: str) -> str:
+    """A number of the run as in print: ``-2.4e-09`` becomes −2.4 · 10⁻⁹."""
+    powers = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    number = re.sub(r"(\d)e\+?(-?)0*(\d+)", lambda m: f"{m[1]} · 10" + (m[2] + m[3]).translate(powers), number)
+    return re.sub(r"(?<!\w)-(?=\d)", "−", number).replace(" · ", "\u00a0·\u00a0")
+
+
+def _keep_together(app, doctree, docname):
+    """Set the run's numbers as in print; break no line before a percent sign or between a formula and its comma."""
+    for parent in list(doctree.findall(nodes.TextElement)):
+        if isinstance(parent, nodes.FixedTextElement | nodes.literal | nodes.math):
+            continue
+        of_the_run = "pasted-text" in parent["classes"]
+        for at, child in enumerate(parent):
+            if isinstance(child, nodes.Text):
+                parent[at] = nodes.Text(_typeset(child) if of_the_run else child.replace(" %", "\u00a0%"))
+            elif isinstance(child, nodes.math):
+                after = parent[at + 1] if at + 1 < len(parent) else None
+                mark = re.match(r"[.,;:!?)]+", after) if isinstance(after, nodes.Text) else None
+                if mark:
+                    parent[at + 1] = nodes.Text(after[mark.end() :])
+                    parent[at] = nodes.inline("", "", child, nodes.Text(mark[0]), classes=["unbroken"])
 
 
 def _add_model_cards(app, docname, source):
@@ -213,7 +240,8 @@ def setup(app):
     app.connect("config-inited", _configure, priority=400)
     app.connect("source-read", _add_model_cards)
     app.connect("doctree-read", _add_badge)
-    app.connect("doctree-read", _let_wide_pictures_scroll)
+    app.connect("doctree-read", _size_pictures)
+    app.connect("doctree-resolved", _keep_together)
     app.connect("missing-reference", _resolve_public_name)
     app.connect("html-page-context", _leave_out_thebe)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+from matplotlib.ticker import LogFormatterMathtext
 
 from inflate_lib.plotting.style import COLOURS, LINE_STYLES, figure, logarithmic, picture_axes
 
@@ -119,6 +120,7 @@ def plot_losses(histories: Mapping[str, Mapping[str, list]]):
     for ax, label in zip(axes[:, 0], ("$L_{simple}$", "$L_{vlb}$ (nats per pixel)"), strict=True):
         ax.set_ylabel(label)
         logarithmic(ax)
+    axes[0, 0].xaxis.set_major_formatter(LogFormatterMathtext())  # 1000 and 10000 would meet
     return fig
 
 
@@ -141,13 +143,16 @@ def plot_answers(answers: Mapping[str, tuple]):
 
     ``answers`` maps a title to (wanted (n,), achieved (n,), function of wanted that was fitted).
     """
-    fig, axes = figure(1, len(answers), height=5.6, sharex=True, sharey=True, squeeze=False)
+    fig, axes = figure(1, len(answers), height=6.0, sharex=True, sharey=True, squeeze=False)
+    seen = np.concatenate([np.concatenate(values[:2]) for values in answers.values()])
+    axes[0, 0].set(xlim=(seen.min() - 0.05, seen.max() + 0.05), ylim=(seen.min() - 0.05, seen.max() + 0.05))
     for ax, (title, (wanted, achieved, fitted)) in zip(axes[0], answers.items(), strict=True):
         ends = np.array([wanted.min(), wanted.max()])
         ax.plot(ends, ends, ":", color=COLOURS.ink, label="achieved = wanted", zorder=3)
         ax.plot(wanted, achieved, "o", color=COLOURS.wall, markersize=2, alpha=0.5)
         ax.plot(ends, fitted(ends), "-", color=COLOURS.target, label="fit")
         ax.set(title=title, xlabel="wanted", aspect="equal")
+        ax.locator_params(nbins=4)
     axes[0, 0].set(ylabel="achieved")
     fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return fig

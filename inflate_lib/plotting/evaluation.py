@@ -240,7 +240,8 @@ def plot_frontier(table):
     line.
     """
     names = list(dict.fromkeys(table["descriptor"]))
-    fig, axes = figure(-(-len(names) // 3), 3, height=5.2 * -(-len(names) // 3), squeeze=False)
+    rows, columns = -(-len(names) // 3), min(3, len(names))
+    fig, axes = figure(rows, columns, height=5.8 * rows, squeeze=False)
     for ax in axes.flat[len(names) :]:
         ax.set_axis_off()
     lines = {
@@ -249,15 +250,22 @@ def plot_frontier(table):
         "tuned student, $w = 5$": (r"tuned, second order, w = 5(?:, \d+ steps)?", COLOURS.medium, "^-."),
         "other": (".*", COLOURS.ghost, "x"),
     }
+    near = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": 7}
     for ax, name in zip(axes.flat, names, strict=False):
         left = table[table["descriptor"] == name].sort_values("evaluations")
         for label, (pattern, colour, look) in lines.items():
             mine = left["way"].str.fullmatch(pattern)
-            rows, left = left[mine], left[~mine]
-            ax.plot(rows["variety"], rows["R²"], look, color=colour, markersize=4, label=label)
-            for _, row in rows.iloc[[0, -1][: len(rows)]].iterrows() if label != "other" else ():
-                near = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": 7}
-                ax.annotate(row["evaluations"], (row["variety"], row["R²"]), color=colour, **near)
-        ax.set(title=name, xlabel="variety, as a share of the data's", ylabel="$R^2$")
-    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+            ways, left = left[mine], left[~mine]
+            ax.plot(ways["variety"], ways["R²"], look, color=colour, markersize=4, linewidth=1.1, label=label)
+            for _, way in ways.iloc[[0, -1][: len(ways)]].iterrows() if label != "other" else ():
+                ax.annotate(way["evaluations"], (way["variety"], way["R²"]), color=colour, **near)
+        ax.set_title(name)
+        ax.margins(x=0.12, y=0.12)
+    fig.supxlabel("variety, as a share of the data's", fontsize="medium")
+    fig.supylabel("$R^2$", fontsize="medium")
+    handles = axes[0, 0].get_legend_handles_labels()
+    if len(names) < axes.size:
+        axes.flat[-1].legend(*handles, loc="center", fontsize="medium")
+    else:
+        fig.legend(*handles, loc="outside upper center", ncols=4)
     return fig

@@ -108,7 +108,7 @@ def plot_distributions(data):
     fig, axes = figure(1, len(sizes) + 1, height=5.0)
     for ax, one in zip(axes, sizes, strict=False):
         values = data[one.variable].values[data.converged.values]
-        ax.hist(values, 40, color=COLOURS.wall, edgecolor="white", linewidth=0.3)
+        ax.hist(values, 40, color=COLOURS.wall, histtype="stepfilled")
         ax.axvline(values.mean(), color=COLOURS.target, linestyle="--", linewidth=1.2)
         ax.set_title(f"mean {values.mean():.3f}", color=COLOURS.target)
         ax.set_xlabel(f"{one.title} ${one.symbol}$")

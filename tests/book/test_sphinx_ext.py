@@ -11,6 +11,7 @@ import pytest
 import yaml
 from docutils import nodes
 from docutils.utils import new_document
+from PIL import Image as Picture
 
 from inflate_lib import paths
 from inflate_lib.book import pdf, sphinx_ext
@@ -162,3 +163,35 @@ def test_a_browser_that_prints_nothing_is_an_error(tmp_path):
     with pytest.raises(RuntimeError, match=r"wrote no PDF of .*page\.html: out of paper"):
         pdf._print_page(program, tmp_path / "page.html", tmp_path / "book.pdf")
     assert os.listdir(tmp_path) == ["chromium"]
+
+
+@pytest.mark.parametrize(
+    ("number", "printed"),
+    [("-9.9", "−9.9"), ("2.4e-09", "2.4\u00a0·\u00a010⁻⁹"), ("1e+05", "1\u00a0·\u00a010⁵"),
+     ("+0.4 [−1, -0.5]", "+0.4 [−1, −0.5]"), ("1.2 to 2.9", "1.2 to 2.9"),
+     ("2025-11-28", "2025-11-28"), ("dpm-solver", "dpm-solver")],
+)  # fmt: skip
+def test_a_number_of_the_run_is_set_as_in_print(number, printed):
+    assert sphinx_ext._typeset(number) == printed
+
+
+def test_no_line_breaks_before_a_percent_sign_or_between_a_formula_and_its_comma():
+    document = new_document("chapter")
+    pasted = nodes.inline("", "-9.9", classes=["pasted-text"])
+    line = nodes.paragraph("", "", nodes.math("", "x_t"), nodes.Text(", by "), pasted, nodes.Text(" % of "))
+    line += [nodes.math("", "y"), nodes.Text(" or "), nodes.literal("", "5 % -1")]
+    document += line
+    sphinx_ext._keep_together(None, document, "chapter")
+    assert document.astext() == "x_t, by −9.9\u00a0% of y or 5 % -1"
+    assert [part.astext() for part in document.findall(nodes.inline) if "unbroken" in part["classes"]] == ["x_t,"]
+
+
+def test_a_figure_is_as_wide_as_it_was_drawn_and_a_wide_one_scrolls_on_a_phone(tmp_path):
+    document = new_document("chapter")
+    for name, size in (("half", (669, 400)), ("whole", (1361, 400))):
+        Picture.new("L", size).save(tmp_path / f"{name}.png", dpi=(200, 200))
+        document += nodes.image(uri=f"{name}.png")
+    sphinx_ext._size_pictures(SimpleNamespace(srcdir=tmp_path), document)
+    half, whole = document.findall(nodes.image)
+    assert (half["width"], whole["width"]) == ("50%", "100%")
+    assert half.parent is document and "wide-picture" in whole.parent["classes"]
