@@ -116,6 +116,17 @@ def test_a_page_on_a_desktop(desktop, one):
     assert not page.evaluate("[...document.images].filter((i) => i.complete && !i.naturalWidth).map((i) => i.src)")
 
 
+def test_a_page_fits_on_paper(desktop, one):
+    """Chromium shrinks a whole book if anything in it is wider than A4 between its margins, 178 mm."""
+    page = desktop.page
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 672, "height": 900})
+    sticking_out = too_wide(page)
+    page.emulate_media(media="screen")
+    page.set_viewport_size(dict(zip(("width", "height"), WIDTHS["desktop"], strict=True)))
+    assert sticking_out == []
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_on_a_phone_at_night(phone_at_night, name):
     page = phone_at_night.open(name)
