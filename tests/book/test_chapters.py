@@ -160,9 +160,9 @@ def test_tuned_students_are_more_accurate_and_nearly_as_varied():
     both = tuned.loc[distilled.index]
     assert (both["R²"] > distilled["R²"]).all() and (both["median error"] < distilled["median error"]).all()
     assert (distilled["variety"] - both["variety"]).max() < 0.02
-    axis, teacher = tuned.loc["axis"], pd.read_csv(paths.REFERENCE / "sampler.csv").set_index(keys).loc["axis"]
-    shared = axis.index.intersection(teacher.index)
-    assert len(shared) and (axis.loc[shared, "R²"] > teacher.loc[shared, "R²"]).all()
+    teacher = pd.read_csv(paths.REFERENCE / "sampler.csv").set_index(keys)
+    shared = tuned.index.intersection(teacher.index)
+    assert len(shared) >= 15 and (tuned.loc[shared, "R²"] > teacher.loc[shared, "R²"]).all()
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
