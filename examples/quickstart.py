@@ -7,22 +7,22 @@ import sys
 
 import numpy as np
 
-from inflate_lib import describe, find_flaw, inflate, label_image, load_model, load_sevens
+from inflate_lib import describe, find_flaw, inflate, label_image, load_sevens
 from inflate_lib.io import write_picture
+from inflate_lib.models import load_model
 
-# Forwards: a handwritten seven stands for a soft wall around a cavity. Pressure inflates
-# the cavity, and the shape that comes out is measured in sides of the 28-pixel frame.
+# Forwards: a handwritten seven stands for a soft wall around a cavity. Pressure
+# inflates the cavity; the shape that comes out is measured in sides of the frame.
 seven = load_sevens("digits").images[0]
 shape = describe(inflate(label_image(seven)))
 print(f"a seven inflates to height {shape.height:.3f}, width {shape.width:.3f}")
 
-# Backwards: many structures become 1.05 high, so a diffusion model draws fifty from noise.
+# Backwards: many structures become 1.05 high; a diffusion model draws fifty from noise.
 wanted = 1.05
 model = load_model("height", profile="laptop")  # trained weights of the repository
 drawn = model.draw({"height": wanted}, n=50, seed=0)
 
-# How near each comes is not known before it is inflated in turn.
-results = []
+results = []  # how near each comes is not known before it is inflated in turn
 for image in drawn:
     try:
         results.append(inflate(label_image(image)))
@@ -34,7 +34,7 @@ buildable = [find_flaw(result) is None for result in results]
 best = np.where(buildable, np.abs(heights - wanted), np.inf).argmin()
 error = 100 * abs(heights[best] / wanted - 1)
 
-print(f"{len(results)} of {len(drawn)} drawings inflate, to height {heights.mean():.3f} on average")
+print(f"{len(results)} of {len(drawn)} drawings inflate, to height {heights.mean():.3f}")
 print(f"wanted {wanted}, achieved by the best {heights[best]:.4f}: {error:.3f} % off")
-picture = write_picture(results[best], sys.argv[1] if len(sys.argv) > 1 else "quickstart.png")
+picture = write_picture(results[best], (sys.argv + ["quickstart.png"])[1])
 print(f"the best of the {sum(buildable)} that can be built, inflated: {picture}")

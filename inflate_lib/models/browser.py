@@ -62,7 +62,7 @@ def model_script(model: Model, profile: str) -> str:
     return f"{_HEAD}{json.dumps(content, separators=(',', ':'))};\n"
 
 
-def export(model: Model, profile: str, file: Path = FILE) -> Path:
+def export(model: Model, profile: str, file: Path) -> Path:
     """Write the script of a model; a file of the same name that is none is an OSError, and stays."""
     check_outputs([file], ours=lambda there: fingerprint(there) is not None)
     script = model_script(model, profile)
@@ -71,7 +71,7 @@ def export(model: Model, profile: str, file: Path = FILE) -> Path:
     return file
 
 
-def fingerprint(file: Path = FILE) -> str | None:
+def fingerprint(file: Path) -> str | None:
     """Of the weights in a script; None where it is no such script."""
     try:
         found = re.match(re.escape(_HEAD) + r'\{"fingerprint":"(\w+)"', Path(file).read_text(encoding="ascii"))
