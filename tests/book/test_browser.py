@@ -55,6 +55,7 @@ class Reader:
         self.page.on("requestfailed", lambda request: self.complaints.append(f"failed: {request.url}"))
 
     def open(self, name):
+        self.page.goto("about:blank")  # what the page before breaks off is no complaint of the next one
         self.complaints.clear()
         self.requests.clear()
         self.page.goto((HTML / name).as_uri(), wait_until="load")
