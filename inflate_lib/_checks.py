@@ -74,14 +74,14 @@ def positive_number(name: str, value: Any, unit: str = "", finite: bool = True) 
 def choice(name: str, value: Any, among: Collection[str]) -> str:
     """`value`, or a ValueError where it is none of the names `among` which there is a choice."""
     if isinstance(value, str) and value in among:
-        return value  # type: ignore[return-value]  # nobody goes on with it
+        return value
     raise ValueError(f"{name} must be one of {', '.join(among)}, not {value!r}")
 
 
 def flag(name: str, value: Any) -> bool:
     """`value`, or a ValueError where it is neither True nor False."""
     if isinstance(value, bool):
-        return value  # type: ignore[return-value]  # nobody goes on with it
+        return value
     raise ValueError(f"{name} must be true or false, not {value!r}")
 
 
