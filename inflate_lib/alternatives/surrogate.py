@@ -17,7 +17,6 @@ from torch import Tensor, nn
 
 from inflate_lib._cache import cached, code_version, digest, step_version
 from inflate_lib._checks import whole_number
-from inflate_lib.alternatives.blends import blend
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -27,6 +26,7 @@ from inflate_lib.diffusion import TrainedModel, storage
 from inflate_lib.diffusion.loop import fit
 from inflate_lib.diffusion.randomness import initialised
 from inflate_lib.structures import labels
+from inflate_lib.structures.blends import blend
 from inflate_lib.structures.labels import FRAME, label_image
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def robust(answers: Tensor, wanted: Tensor) -> Tensor:
 
 
 def blends_of(data: "xr.Dataset", n: int, seed: int = 0) -> "xr.Dataset":
-    """Blends (:func:`.blends.blend`) of the structures that models are trained on, simulated; from the cache."""
+    """Blends (:func:`.structures.blend`) of the structures that models are trained on, simulated; from the cache."""
     images = data["image"].values[training_rows(data)]
 
     def make(target, scratch):
@@ -166,7 +166,7 @@ def blends_of(data: "xr.Dataset", n: int, seed: int = 0) -> "xr.Dataset":
         "blends of": digest(images),
         "n": n,
         "seed": seed,
-        "code": step_version("dataset") + code_version("inflate_lib.alternatives.blends"),
+        "code": step_version("dataset") + code_version("inflate_lib.structures.blends"),
     }
     return load_dataset(cached("blends", key, make, ".nc"))
 

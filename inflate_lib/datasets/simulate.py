@@ -171,17 +171,21 @@ def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend
 
     def make(target, scratch):
         data = simulate_dataset(sevens.images, n_jobs=n_jobs, folder=scratch, backend=backend)
-        data.attrs |= {"source": sevens.source, "source_description": sevens.description, "code_version": _code()}
+        data.attrs |= {
+            "source": sevens.source,
+            "source_description": sevens.description,
+            "code_version": code_of_dataset(),
+        }
         save_dataset(data, target)
 
     return cached("dataset", _key(sevens), make, ".nc")
 
 
 def _key(sevens):
-    return {"images": digest(sevens.images), "steps": 10, "code": _code()}
+    return {"images": digest(sevens.images), "steps": 10, "code": code_of_dataset()}
 
 
-def _code():
+def code_of_dataset():
     """Version of all that lies between an image and its descriptors."""
     return step_version("dataset") + added_version()
 
@@ -211,7 +215,7 @@ def _pieces(images, n_steps, time_limit, folder, run):
 
     def file(number):
         piece, reasons = read(number)
-        key = digest(piece, repr((reasons, n_steps, float(time_limit))), _code())
+        key = digest(piece, repr((reasons, n_steps, float(time_limit))), code_of_dataset())
         return folder / f"{starts[number]:06d}-{key[:16]}.npz"
 
     files = {} if folder is None else {number: file(number) for number in range(len(starts))}

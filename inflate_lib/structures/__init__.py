@@ -1,4 +1,4 @@
-"""From a grey image to a structure (paper sec. 3, Figs. 2 and 4): where images come from, labels, flips and shifts."""
+"""From a grey image to a structure (paper sec. 3, Figs. 2 and 4): images, labels, flips and shifts, blends."""
 
 from typing import TYPE_CHECKING
 
@@ -6,16 +6,20 @@ from inflate_lib._lazy import attach
 
 if TYPE_CHECKING:
     from inflate_lib.structures.augmentation import apply_variants, augment, augment_descriptors
+    from inflate_lib.structures.blends import Family, blend
     from inflate_lib.structures.labels import is_open, label_image, point_joints, stages
-    from inflate_lib.structures.sources import Sevens, load_sevens, resolve_source
+    from inflate_lib.structures.sources import Digits, load_digits, load_sevens, resolve_source
 
 __all__ = [
-    "Sevens",
+    "Digits",
+    "Family",
     "apply_variants",
     "augment",
     "augment_descriptors",
+    "blend",
     "is_open",
     "label_image",
+    "load_digits",
     "load_sevens",
     "point_joints",
     "resolve_source",

@@ -1,10 +1,10 @@
-"""Where the images of the digit seven come from: MNIST, or the small embedded set of scikit-learn.
+"""Where the images of digits come from: MNIST, or the small embedded set of scikit-learn.
 
 MNIST is looked for in the folder that ``INFLATE_MNIST_DIR`` names, and what is read there is kept in the cache; without
 such a folder it is looked for in the cache, and downloaded into it once from a public mirror. Every time the SHA-256 of
 the decompressed bytes must be the published one, or the file is not used. Where no mirror can be reached,
-``source="auto"`` falls back to the 179 sevens that ship with scikit-learn, aloud; a folder that cannot be read or a
-cache that cannot be written is an error, never a reason for other data.
+``source="auto"`` falls back to the 1797 digits (179 sevens) that ship with scikit-learn, aloud; a folder that cannot be
+read or a cache that cannot be written is an error, never a reason for other data.
 """
 
 import gzip
@@ -13,6 +13,7 @@ import io
 import os
 import warnings
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,12 +27,14 @@ from inflate_lib.structures.labels import FRAME
 
 SOURCES = ("auto", "mnist", "digits")
 CHOSEN = "INFLATE_SOURCE"  # set by --source: what "auto" is to mean
-_DESCRIPTIONS = {"mnist": "MNIST training sevens", "digits": "scikit-learn digits"}
 _SHA256 = {  # of the decompressed files
     "train-images-idx3-ubyte": "ba891046e6505d7aadcbbe25680a0738ad16aec93bde7f9b65e87a2fc25776db",
     "train-labels-idx1-ubyte": "65a50cbbf4e906d70832878ad85ccda5333a97f0f4c3dd2ef09a8a9eef7101c5",
+    "t10k-images-idx3-ubyte": "0fa7898d509279e482958e8ce81c8e77db3f2f8254e26661ceb7762c4d494ce7",
+    "t10k-labels-idx1-ubyte": "ff7bcfd416de33731a308c3f266cc351222c34898ecbeaf847f06e48f7ec33f2",
 }
-_FILES = tuple(_SHA256)  # images, labels
+_FILES = tuple(_SHA256)[:2]  # images, labels: the training digits
+_TEST_FILES = tuple(_SHA256)[2:]
 _MIRRORS = (
     "https://ossci-datasets.s3.amazonaws.com/mnist/",
     "https://storage.googleapis.com/cvdf-datasets/mnist/",
@@ -42,10 +45,11 @@ _network_failure = None  # remembered, so that one process waits for a dead netw
 
 
 @dataclass(frozen=True)
-class Sevens:
-    """Grey images of sevens, ``images`` (n, 28, 28) uint8, with the name of their source."""
+class Digits:
+    """Grey images, ``images`` (n, 28, 28) uint8, which digit each one is, ``labels`` (n,), and where they come from."""
 
     images: np.ndarray
+    labels: np.ndarray
     source: str
     description: str
 
@@ -74,15 +78,26 @@ def resolve_source(source: str = "auto") -> str:
     return "mnist"
 
 
-def load_sevens(source: str = "auto", limit: int | None = None) -> Sevens:
-    """Load the sevens of MNIST or of the embedded digits.
+def load_sevens(source: str = "auto", limit: int | None = None) -> Digits:
+    """Load the sevens of MNIST or of the embedded digits: ``load_digits((7,), source, limit)``."""
+    return load_digits((7,), source, limit)
+
+
+def load_digits(
+    digits: str | Sequence[int] = "all", source: str = "auto", limit: int | None = None, test: bool = False
+) -> Digits:
+    """Load digits of MNIST, or the embedded ones.
 
     Parameters
     ----------
+    digits : "all", or numbers from 0 to 9
+        Which ones; they come in the order of the files.
     source : {"auto", "mnist", "digits"}
         See :func:`resolve_source`.
     limit : int, optional
-        Keep the first ``limit`` sevens. More than there are means all of them, with a line that says so.
+        Keep the first ``limit``. More than there are means all of them, with a line that says so.
+    test : bool
+        MNIST's 10,000 test digits in place of its 60,000 training digits.
 
     Raises
     ------
@@ -96,12 +111,22 @@ def load_sevens(source: str = "auto", limit: int | None = None) -> Sevens:
         ``source="mnist"``, no folder is named and no mirror delivers.
     """
     whole_number("limit", limit, 1, optional=True)
+    wanted = set(range(10) if isinstance(digits, str) and digits == "all" else np.ravel(digits).tolist())
+    if not wanted or not wanted <= set(range(10)):
+        raise ValueError(f"digits must be 'all' or numbers from 0 to 9, not {digits!r}")
     source = resolve_source(source)
-    images = _mnist_sevens() if source == "mnist" else _embedded_sevens()
-    description = _DESCRIPTIONS[source]
-    if limit is not None and limit > len(images):
-        print(f"{limit} sevens were asked for; {description} are {len(images)}, so all of them are used.")
-    return Sevens(images[:limit], source, description)
+    if test and source != "mnist":
+        raise ValueError("only MNIST has test digits: choose the source mnist, or the training digits")
+    images, labels = _mnist(_TEST_FILES if test else _FILES) if source == "mnist" else _embedded()
+    name = "sevens" if wanted == {7} else "digits"
+    if wanted != {7} and len(wanted) < 10:
+        name += " " + ", ".join(map(str, sorted(wanted)))
+    description = f"MNIST {'test' if test else 'training'} {name}" if source == "mnist" else "scikit-learn digits"
+    rows = np.flatnonzero(np.isin(labels, list(wanted)))
+    if limit is not None and limit > len(rows):
+        print(f"{limit} {name} were asked for; {description} are {len(rows)}, so all of them are used.")
+    images, labels = images[rows[:limit]], labels[rows[:limit]]
+    return Digits(images if source == "mnist" else np.stack([*map(_like_mnist, images)]), labels, source, description)
 
 
 def at_hand(source: str) -> bool:
@@ -109,11 +134,11 @@ def at_hand(source: str) -> bool:
     return source == "digits" or bool(os.environ.get("INFLATE_MNIST_DIR")) or all(map(_is_kept, _FILES))
 
 
-def _mnist_sevens():
-    images, labels = _FILES
-    labels = np.frombuffer(_read(labels), np.uint8, offset=8)
-    pixels = np.frombuffer(_read(images), np.uint8, offset=16)
-    return pixels.reshape(-1, FRAME, FRAME)[labels == 7]
+def _mnist(files):
+    """All images and labels of a pair of files."""
+    images, labels = map(_read, files)
+    pixels = np.frombuffer(images, np.uint8, offset=16)
+    return pixels.reshape(-1, FRAME, FRAME), np.frombuffer(labels, np.uint8, offset=8)
 
 
 def _locate(name):
@@ -211,11 +236,12 @@ def _fetch(url, sha256):
     return content
 
 
-def _embedded_sevens():
+def _embedded():
+    """All images of scikit-learn, 8×8 in [0, 1], and their labels."""
     from sklearn.datasets import load_digits
 
     digits = load_digits()
-    return np.stack([_like_mnist(image) for image in digits.images[digits.target == 7] / 16])
+    return digits.images / 16, digits.target.astype(np.uint8)
 
 
 def _like_mnist(image):

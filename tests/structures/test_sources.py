@@ -1,4 +1,4 @@
-"""Images of sevens: MNIST files good and bad, no network, and the embedded digits."""
+"""Images of digits: MNIST files good and bad, no network, and the embedded digits."""
 
 import errno
 import gzip
@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sklearn.datasets import load_digits
+from sklearn import datasets
 
 from inflate_lib import paths
 from inflate_lib._cache import CacheError
 from inflate_lib.structures import sources
-from inflate_lib.structures.sources import _FILES, at_hand, load_sevens, resolve_source
+from inflate_lib.structures.sources import _FILES, _TEST_FILES, at_hand, load_digits, load_sevens, resolve_source
 
 IMAGES, LABELS = _FILES
 
@@ -66,6 +66,47 @@ def test_sevens_are_picked_in_order(small_mnist):
     assert np.array_equal(sevens.images, expected)
     assert (sevens.source, sevens.description, len(sevens)) == ("mnist", "MNIST training sevens", 4)
     assert np.array_equal(load_sevens(limit=2).images, expected[:2])
+
+
+@pytest.mark.parametrize(
+    ("wanted", "labels", "description"),
+    [
+        ("all", [7, 0, 7, 1, 2, 7, 3, 4, 7, 9], "MNIST training digits"),
+        ((7,), [7, 7, 7, 7], "MNIST training sevens"),
+        ([9, 0, 3], [0, 3, 9], "MNIST training digits 0, 3, 9"),
+        (range(3), [0, 1, 2], "MNIST training digits 0, 1, 2"),
+        (1, [1], "MNIST training digits 1"),
+    ],
+)
+def test_digits_are_picked_in_order_with_their_labels(small_mnist, wanted, labels, description):
+    digits = load_digits(wanted)
+    assert digits.labels.tolist() == labels and digits.description == description
+    assert np.array_equal(digits.images[digits.labels == 7], small_mnist[1][: labels.count(7)])
+    assert load_digits(wanted, limit=1).labels.tolist() == labels[:1]
+
+
+def test_test_digits_come_from_files_of_their_own(small_mnist, monkeypatch):
+    folder, _ = small_mnist
+    with pytest.raises(FileNotFoundError, match=_TEST_FILES[0]):
+        load_digits("all", test=True)
+    pixels, labels = np.full((3, 28, 28), 9, np.uint8), np.array([4, 7, 4], np.uint8)
+    contents = np.zeros(16, np.uint8).tobytes() + pixels.tobytes(), np.zeros(8, np.uint8).tobytes() + labels.tobytes()
+    for name, content in zip(_TEST_FILES, contents, strict=True):
+        (folder / name).write_bytes(content)
+        with pytest.raises(ValueError, match=f"{name} is not MNIST's"):
+            load_digits("all", test=True)
+        monkeypatch.setitem(sources._SHA256, name, hashlib.sha256(content).hexdigest())
+    digits = load_digits([4], test=True)
+    assert digits.labels.tolist() == [4, 4] and digits.description == "MNIST test digits 4"
+    assert (digits.images == 9).all()
+    with pytest.raises(ValueError, match="only MNIST has test digits"):
+        load_digits("all", "digits", test=True)
+
+
+def test_all_embedded_digits_have_their_sevens_as_they_were():
+    digits, sevens = load_digits("all", "digits"), load_sevens("digits")
+    assert len(digits) == 1797 and np.array_equal(digits.images[digits.labels == 7], sevens.images)
+    assert (sevens.labels == 7).all()
 
 
 def test_unzipped_files_do_as_well(small_mnist):
@@ -278,7 +319,7 @@ def test_embedded_digits_look_like_mnist():
     sevens = load_sevens("digits")
     assert sevens.images.shape == (179, 28, 28) and sevens.images.dtype == np.uint8
     assert sevens.description == "scikit-learn digits"
-    digits = load_digits()
+    digits = datasets.load_digits()
     for image, small in zip(sevens.images, digits.images[digits.target == 7], strict=True):
         rows, columns = np.nonzero(image)
         assert max(np.ptp(rows), np.ptp(columns)) + 1 <= 20
@@ -295,6 +336,12 @@ def test_asking_for_more_than_there_are_gives_all_and_says_so(capsys):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.parametrize("digits", [(), "", "sevens", "037", 10, -1, (3, 12), ("3",), None, 1.5])
+def test_what_is_no_digit_is_refused(digits):
+    with pytest.raises(ValueError, match="digits must be 'all' or numbers from 0 to 9, not"):
+        load_digits(digits, "digits")
+
+
 @pytest.mark.parametrize("arguments", [{"limit": 0}, {"limit": -3}, {"limit": 2.5}, {"source": "emnist"}])
 def test_arguments_out_of_range_are_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
@@ -307,3 +354,5 @@ def test_mnist_has_6265_training_sevens():
         pytest.skip("MNIST cannot be had: its files are not checked")
     sevens = load_sevens("mnist")
     assert sevens.images.shape == (6265, 28, 28) and sevens.images.dtype == np.uint8
+    digits = load_digits("all", "mnist")
+    assert len(digits) == 60_000 and np.array_equal(digits.images[digits.labels == 7], sevens.images)
