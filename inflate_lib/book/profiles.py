@@ -19,17 +19,21 @@ something in the recipe change it.
 
 import ast
 import functools
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import jupytext
+import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from inflate_lib._yaml import hint
 from inflate_lib.descriptors import DESCRIPTORS
 from inflate_lib.models.recipe import Recipe, read_profile
 
+_CELL = re.compile(  # read here: every notebook asks for its parameters, and jupytext takes two seconds to import
+    r"^(`{3,})\{code-cell\}[^\n]*\n(?P<options>---\n.*?^---\n|(?::[^\n]*\n)*)(?P<source>.*?)^\1$", re.MULTILINE | re.DOTALL
+)
 BUDGET = 60.0  # seconds: what takes longer is made cheap, or computed once by a script in benchmarks/
 
 
@@ -158,12 +162,12 @@ def declared_parameters(notebook: Path) -> dict[str, Any]:
 
 @functools.lru_cache(maxsize=256)
 def _declared(notebook: Path, _changed: int, _size: int) -> dict[str, Any]:
-    cells = [c for c in jupytext.read(notebook).cells if "parameters" in c.metadata.get("tags", [])]
+    cells = [cell for cell in _CELL.finditer(notebook.read_text(encoding="utf-8")) if "parameters" in _tags(cell)]
     if len(cells) > 1:
         raise ProfileError(f"{notebook.name}: {len(cells)} cells are tagged 'parameters'; a notebook has one")
     found = {}
     try:
-        for line in ast.parse(cells[0].source if cells else "").body:
+        for line in ast.parse(cells[0]["source"] if cells else "").body:
             match line:
                 case ast.Assign([ast.Name(name)], value) | ast.AnnAssign(ast.Name(name), _, ast.expr() as value):
                     found[name] = ast.literal_eval(value)
@@ -174,6 +178,11 @@ def _declared(notebook: Path, _changed: int, _size: int) -> dict[str, Any]:
     if tuples := [name for name, value in found.items() if isinstance(value, tuple)]:
         raise ProfileError(f"{notebook.name}: {', '.join(tuples)}: papermill knows no tuples, write a list")
     return found
+
+
+def _tags(cell: re.Match[str]) -> list[str]:
+    """Of a code cell, whose options stand in lines that begin with a colon, or between two lines of hyphens."""
+    return (yaml.safe_load(re.sub("^:|^---$", "", cell["options"], flags=re.MULTILINE)) or {}).get("tags", [])
 
 
 def _mismatch(where: str, value: Any, default: Any) -> str | None:
