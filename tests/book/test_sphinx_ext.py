@@ -138,6 +138,14 @@ def test_every_standing_page_is_in_the_contents():
     assert {path.relative_to(paths.BOOK).with_suffix("").as_posix() for path in pages} <= listed
 
 
+def test_a_chapter_has_the_number_of_its_file():
+    contents = yaml.safe_load((paths.BOOK / "_toc.yml").read_text(encoding="utf-8"))
+    parts = [part for part in contents["parts"] if part.get("numbered", contents["defaults"]["numbered"])]
+    numbered = [chapter["file"] for part in parts for chapter in part["chapters"]]
+    assert numbered == [f"notebooks/{path.stem}" for path in find_notebooks()]
+    assert [int(file.rpartition("/")[2][:2]) for file in numbered] == list(range(1, len(numbered) + 1))
+
+
 def test_a_browser_is_found_where_it_is_named_or_usual(tmp_path, monkeypatch):
     program = tmp_path / "chromium"
     program.write_text("#!/bin/sh\n")
