@@ -31,8 +31,10 @@ from inflate_lib._yaml import hint
 from inflate_lib.descriptors import DESCRIPTORS
 from inflate_lib.models.recipe import Recipe, read_profile
 
-_CELL = re.compile(  # read here: every notebook asks for its parameters, and jupytext takes two seconds to import
-    r"^(`{3,})\{code-cell\}[^\n]*\n(?P<options>---\n.*?^---\n|(?::[^\n]*\n)*)(?P<source>.*?)^\1$", re.MULTILINE | re.DOTALL
+# Read here: every notebook asks for its parameters, and jupytext takes two seconds to import.
+_CELL = re.compile(
+    r"^(`{3,})\{code-cell\}[^\n]*\n(?P<options>---\n.*?^---\n|(?::[^\n]*\n)*)(?P<source>.*?)^\1$",
+    re.MULTILINE | re.DOTALL,
 )
 BUDGET = 60.0  # seconds: what takes longer is made cheap, or computed once by a script in benchmarks/
 
