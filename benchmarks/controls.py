@@ -191,7 +191,7 @@ class Study:
                 result, pairs = inflate(label), []
                 estimate = flip_changes(label, sensitivities(result, get_descriptor(DESCRIPTOR).gradient))
                 for row, column in border(label):
-                    reason, _, flipped = attempt(with_flipped(label, row, column), Constraints())
+                    reason, _, flipped = attempt(with_flipped(label, [(row, column)]), Constraints())
                     if not reason:
                         change = describe(flipped).height - describe(result).height
                         pairs.append((estimate[row, column], change))

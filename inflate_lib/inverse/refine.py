@@ -2,9 +2,13 @@
 
 A structure is made of pixels, and one pixel of its cavity more or less changes its descriptors by a tenth of a percent
 or so. An inflation takes milliseconds, drawing a candidate ten times as long. So a near miss is worth some tries: a
-pixel at the border of the cavity is flipped, the structure labelled and inflated again, and the change kept if the
-largest error has become smaller and the structure can still be built. Which pixel to try first is what the adjoint says
-(:mod:`inflate_lib.mechanics.adjoint`).
+pixel at the border of the cavity is flipped, or two that lie beside each other, the structure labelled and inflated
+again, and the change kept if the largest error has become smaller and the structure can still be built. Which to try
+first is what the adjoint says (:mod:`inflate_lib.mechanics.adjoint`).
+
+What is handed out will be cast. A *crumb* is a pixel of the cavity or of the wall that has at most one of its four
+neighbours on its own side: a single pixel that sticks out. Those of a drawing are removed before it is refined, and no
+change may leave one; pairs of pixels make up for what single ones may no longer do.
 """
 
 from enum import StrEnum
@@ -80,7 +84,7 @@ def _free_place(label, result, constraints):
     return None
 
 
-def refine(label, result, targets, constraints, goal, tries, seed=0, order="sensitivity", trace=None):
+def refine(label, result, targets, constraints, goal, tries, seed=0, order="sensitivity", trace=None, crumbs=False):
     """Change a structure pixel by pixel until its largest error is at most `goal`, or the tries are used up.
 
     Parameters
@@ -101,39 +105,69 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
         First the pixels that promise to bring the structure nearest to its targets (``_most_promising``), or any.
     trace : list, optional
         Filled with the largest error after each try.
+    crumbs : bool
+        Whether crumbs may stay and arise; to measure what it costs that they may not.
 
     Returns
     -------
     label : (28, 28) float
+        Without a crumb, where anything was changed; as it was, where that would have brought it no nearer.
     result : Inflation
-    flipped : list of (int, int)
-        Row and column of the pixels, in order; with `symmetric`, each stands for its mirror image as well.
+    flipped : list of list of (int, int)
+        Row and column of the pixels of each change, in order; with `symmetric`, each stands for its mirror image too.
     """
     choice("order", order, _ORDERS)
-    rng, flipped, symmetric = np.random.default_rng(seed), [], constraints.symmetric
-
-    def queue():
-        pixels = rng.permutation(border(label))
-        return list(_most_promising(pixels, label, result, targets, symmetric) if order == "sensitivity" else pixels)
-
-    best = max(deviations(targets, describe(result)).values())
-    untried = queue() if best > goal else []
-    while best > goal and tries > 0 and untried:
-        row, column = (int(i) for i in untried.pop(0))
+    rng, symmetric = np.random.default_rng(seed), constraints.symmetric
+    before = best = max(deviations(targets, describe(result)).values())
+    start, flipped, untried = (label, result, []), [], []
+    if best > goal and not crumbs and (rough := _crumbs_of(label == VOID)).size:
+        untried, best = [rough], np.inf  # whatever comes of it, only that is refined
+    elif best > goal:
+        untried = _changes(label, result, targets, symmetric, order, rng)
+    while best > goal and tries > 0 and len(untried):
+        pixels, untried = untried[0], untried[1:]
+        cavity = with_flipped(label, pixels, symmetric)
+        if not crumbs and _crumbs_of(cavity).size:
+            continue
         tries -= 1
-        reason, changed, inflated = attempt(with_flipped(label, row, column, symmetric), constraints)
+        reason, changed, inflated = attempt(cavity, constraints)
         error = np.inf if reason else max(deviations(targets, describe(inflated)).values())
-        if error <= best * (1 - _LESS):
+        if error <= best * (1 - _LESS) and (crumbs or not _crumbs_of(changed == VOID).size):
             label, result, best = changed, inflated, error
-            flipped.append((row, column))
-            untried = queue() if best > goal else []
+            flipped.append(sorted({(int(row), int(column)) for row, column in pixels}))
+            untried = _changes(label, result, targets, symmetric, order, rng) if best > goal else []
         if trace is not None:
-            trace.append(best)
-    return label, result, flipped
+            trace.append(min(best, before))
+    return (label, result, flipped) if best < before else start
 
 
-def _most_promising(pixels, label, result, targets, symmetric=False):
-    """`pixels` (k, 2) in the order of the largest error to expect where one is flipped, the smallest first.
+def _changes(label, result, targets, symmetric, order, rng):
+    """(m, 2, 2) the changes to try, in that order: two pixels that lie beside each other, or one twice."""
+    pixels, void = border(label), label == VOID
+    at = np.zeros(label.shape, bool)
+    at[tuple(pixels.T)] = True
+    changes = [np.stack([pixels, pixels], axis=1)]
+    for axis in (0, 1):  # the border of the cavity keeps clear of the border of the frame
+        first = np.argwhere(at & np.roll(at, -1, axis) & (void == np.roll(void, -1, axis)))
+        changes.append(np.stack([first, first + np.eye(2, dtype=int)[axis]], axis=1))
+    changes = rng.permutation(np.concatenate(changes))
+    return changes if order == "random" else _most_promising(changes, label, result, targets, symmetric)
+
+
+def _crumbs_of(void):
+    """(k, 2) pixels to flip, so that a cavity (28, 28) bool has no crumb; those that it has, and what they uncover."""
+    smooth = void.copy()
+    for _ in range(FRAME):
+        beside = ndimage.convolve(smooth.astype(np.uint8), _CROSS.astype(np.uint8), mode="constant") - smooth
+        rough = np.where(smooth, beside <= 1, beside >= 3)
+        if not rough.any():
+            break
+        smooth ^= rough
+    return np.argwhere(smooth ^ void)
+
+
+def _most_promising(changes, label, result, targets, symmetric=False):
+    """`changes` (m, 2, 2) in the order of the largest error to expect from each, the smallest first.
 
     Descriptors that have a gradient are expected to change as :func:`.mechanics.adjoint.flip_changes` says; all others,
     to stay.
@@ -141,16 +175,17 @@ def _most_promising(pixels, label, result, targets, symmetric=False):
     shape, mirror = describe(result), _mirror_columns(label)
     gradients = {name: get_descriptor(name).gradient for name in targets.asked}
     stays = [miss for name, miss in deviations(targets, shape).items() if gradients[name] is None]
-    expected = np.full(len(pixels), max(stays, default=0.0))
+    expected = np.full(len(changes), max(stays, default=0.0))
+    first, second = changes[:, 0], changes[:, 1]
     for name, gradient in gradients.items():
         if gradient is None:
             continue
         change = flip_changes(label, sensitivities(result, gradient))
         if symmetric:  # of both pixels; one in the middle is its own mirror image
             change = change + np.where(mirror == np.arange(FRAME), 0, change[:, mirror.clip(0, FRAME - 1)])
-        reached = shape.vector(name) + change[tuple(pixels.T)]
-        expected = np.maximum(expected, np.abs(reached / targets.vector(name) - 1))
-    return pixels[np.argsort(expected, kind="stable")]
+        change = change[tuple(first.T)] + np.where(np.all(first == second, axis=1), 0, change[tuple(second.T)])
+        expected = np.maximum(expected, np.abs((shape.vector(name) + change) / targets.vector(name) - 1))
+    return changes[np.argsort(expected, kind="stable")]
 
 
 def border(label):
@@ -159,12 +194,14 @@ def border(label):
     return np.argwhere(ndimage.binary_dilation(void, _CROSS) & ~ndimage.binary_erosion(void, _CROSS))
 
 
-def with_flipped(label, row, column, symmetric=False):
-    """The cavity of a structure, (28, 28) bool, with one pixel flipped; where `symmetric`, with its mirror image."""
-    void = label == VOID
-    mirror = _mirror_columns(label)[column] if symmetric else column
-    void[row, [column, mirror]] = not void[row, column]
-    return void
+def with_flipped(label, pixels, symmetric=False):
+    """The cavity of a structure, (28, 28) bool, with `pixels` (k, 2) flipped; where `symmetric`, mirror images too."""
+    rows, columns = np.transpose(pixels)
+    flipped = np.zeros(label.shape, bool)
+    flipped[rows, columns] = True
+    if symmetric:
+        flipped[rows, _mirror_columns(label)[columns]] = True
+    return (label == VOID) ^ flipped
 
 
 def _mirror_columns(label):
