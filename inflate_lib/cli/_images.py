@@ -41,6 +41,7 @@ class Options:
     clamped: str = "bottom"
     refine: int = 1
     element: str = "mean-dilatation"
+    contact: bool = False
     resize: bool = False
     invert: bool = False
     colour: str = "von-mises"
@@ -81,6 +82,8 @@ def simulate_files(files, options, inputs=()):
     choice("engine", options.engine, _ENGINES)
     if options.engine == "moose" and options.moose is None:
         raise ValueError("engine moose needs a folder for its files: --moose DIR")
+    if options.contact and options.moose is not None:
+        raise ValueError("contact: the cases for MOOSE have none, leave out --contact or --moose")
     for path, endings in ((options.plot, PICTURES), (options.gif, (".gif",)), (options.vtk, (".pvd", ".vtu"))):
         if path is not None:
             with_ending(path, *endings)
@@ -178,7 +181,7 @@ def _record(name, file, image, note, options, alone):
         mesh = build_mesh(structure.domains, options.refine, options.clamped)
         parameters = {name: getattr(options, name) for name in ("n_steps", "element", "pressure", "lame")}
         with naming(Path(mechanics.__file__).with_name("__pycache__")):  # where compiled code is kept
-            result = inflate(mesh, **parameters)
+            result = inflate(mesh, contact=options.contact, **parameters)
         if options.moose is not None:
             case = moose.write_case(mesh, options.moose, name, **parameters)
             written += case

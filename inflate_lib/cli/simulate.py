@@ -33,6 +33,7 @@ def simulate(
     element: Annotated[
         str, typer.Option(help="mean-dilatation, q1 (plain), or stabilised (MOOSE's).")
     ] = "mean-dilatation",
+    contact: Annotated[bool, typer.Option("--contact", help="Walls push one another away, not through.")] = False,
     resize: Annotated[bool, typer.Option("--resize", help="Fit pictures of another size into 28 × 28.")] = False,
     invert: Annotated[bool, typer.Option("--invert", help="For black on white.")] = False,
 ) -> None:
@@ -50,8 +51,8 @@ def simulate(
         pressure = read_history(history)
     options = Options(
         lame=lame, pressure=PRESSURE if pressure is None else pressure, n_steps=steps, wall=wall, clamped=clamp,
-        refine=refine, element=element, resize=resize, invert=invert, colour=colour, engine=engine, plot=plot, gif=gif,
-        vtk=vtk, moose=moose,
+        refine=refine, element=element, contact=contact, resize=resize, invert=invert, colour=colour, engine=engine,
+        plot=plot, gif=gif, vtk=vtk, moose=moose,
     )  # fmt: skip
     inputs = [] if history is None else [history]
     if report(simulate_files(images, options, inputs), json, options):

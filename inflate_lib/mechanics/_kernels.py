@@ -1,8 +1,9 @@
 """All compiled code of the inflation: assembly, sparse LDLᵀ factorisation, and the march through the load steps.
 
 It is one file because numba keeps compiled code per file, and does not see that a function which it calls from another
-file has changed. Loops stand in it where NumPy has a function, because each such function adds to the seconds that
-the compiler takes. The mathematics of the assembly is that of :mod:`inflate_lib.mechanics.inflation`.
+file has changed; only contact has a file of its own (:mod:`inflate_lib.mechanics._barrier`). Loops stand in it where
+NumPy has a function, because each such function adds to the seconds that the compiler takes. The mathematics of the
+assembly is that of :mod:`inflate_lib.mechanics.inflation`.
 
 A matrix has one 2 × 2 block for each pair of nodes that share an element. Eliminating a node couples all its neighbours
 with one another: its elements grow together into one. So the elements themselves say where the factor L fills in
@@ -12,10 +13,19 @@ degree). On a seven this takes three fifths of the arithmetic of a band, and a t
 A matrix is an array (blocks, 4) of 2 × 2 blocks: those of L, column after column, then those of the diagonal.
 """
 
+import os
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+
+from inflate_lib.mechanics import _barrier
+
+# What calls the other file is compiled anew where that was edited: numba looks at the date of this one alone.
+if os.path.getmtime(_barrier.__file__) > os.path.getmtime(__file__):
+    with suppress(OSError):
+        os.utime(__file__)
 
 MAX_ITERATIONS = 40  # Newton iterations of one load step
 MAX_HALVINGS = 6  # of a load step that does not converge
@@ -23,6 +33,7 @@ MAX_MOVE = 0.1  # largest nodal move of one Newton iteration, in lengths of the 
 MIN_J = 0.05  # smallest area ratio allowed on the way
 TOLERANCE = 1e-11  # largest nodal move of an iteration at which a load step has converged
 ROUNDED = 1e-8  # the same where rounding keeps the moves from shrinking any further
+TURNED_OVER, UNCOUPLED = 1, 2  # why a load step was not reached
 REUSE = 3e-5  # nodal move of an iteration from which on the tangent is kept
 
 
@@ -410,7 +421,7 @@ def _pin(pattern, pinned, blocks):
 
 
 @njit(cache=True, nogil=True)
-def march(system, state, pressures, allowed):
+def march(system, state, pressures, allowed, walls, start, last_pressure):
     """Follow the equilibrium through the load steps.
 
     Newton's method on Π, with two changes to the tangent. Mixed integration points (Magisano et al. 2017): λ ln J is
@@ -419,17 +430,25 @@ def march(system, state, pressures, allowed):
     new pressure Euler's predictor. The residual, and so the solution, is that of Π. A load step that fails is
     approached in halves. After `allowed` factorisations it gives up, so that every structure ends in bounded time.
 
-    Returns positions (steps, 2 free), the number of load steps reached, the number of factorisations, and whether the
-    next load step was not reached because an element turned over.
+    With `walls`, the potential of the barrier between them is part of Π, and no iteration carries a node through an
+    edge. Where they are None, what only they need is left out of the compiled code. The march begins from `start`
+    (2 free), the equilibrium at `last_pressure`.
+
+    Returns positions (steps + 1, 2 free), the number of load steps reached, the number of factorisations, and why the
+    next one was not: 0, or TURNED_OVER, or UNCOUPLED, where walls come near whose nodes the pattern does not couple;
+    then the last row of the positions is where that happened.
     """
-    positions = np.empty((len(pressures), len(system.x0)))
-    x, last_pressure, factorisations, converged = system.x0.copy(), 0.0, 0, False
+    positions = np.empty((len(pressures) + 1, len(system.x0)))
+    x, factorisations, converged = start.copy(), 0, False
     for target in range(len(pressures)):
         p, halvings = pressures[target], 0
         while True:  # sub-steps from last_pressure to pressures[target]
             trial = x.copy()
-            converged, spent = _newton(system, state, trial, p, converged, allowed - factorisations)
+            converged, spent, coupled = _newton(system, state, trial, p, converged, allowed - factorisations, walls)
             factorisations += spent
+            if not coupled:
+                positions[-1] = trial
+                return positions, target, factorisations, UNCOUPLED
             if converged:
                 x, last_pressure = trial, p
                 if p == pressures[target]:
@@ -438,21 +457,22 @@ def march(system, state, pressures, allowed):
             else:
                 halvings += 1
                 if halvings > MAX_HALVINGS or factorisations >= allowed:
-                    return positions, target, factorisations, False
+                    return positions, target, factorisations, 0
                 p = 0.5 * (last_pressure + p)
         _gather(x, system.cells, system.fixed, state.corners)
         if _turned_over(state.corners, system.kind, system.gauss):
-            return positions, target, factorisations, True
+            return positions, target, factorisations, TURNED_OVER
         for i in range(len(x)):
             positions[target, i] = x[i]
-    return positions, len(pressures), factorisations, False
+    return positions, len(pressures), factorisations, 0
 
 
 @njit(cache=True, nogil=True)
-def _newton(system, state, x, p, factorised, allowed):
+def _newton(system, state, x, p, factorised, allowed, walls):
     """Move `x` to equilibrium under the pressure p, with the tangent that `state` has where it is `factorised` already.
 
-    Returns whether that succeeded, so that a factorised tangent is left, and the number of factorisations.
+    Returns whether that succeeded, so that a factorised tangent is left, the number of factorisations, and whether the
+    pattern couples all that is near one another.
     """
     factorisations, last_length, step = 0, 0.0, state.residual
     for iteration in range(MAX_ITERATIONS):
@@ -462,11 +482,19 @@ def _newton(system, state, x, p, factorised, allowed):
                 for q in range(len(system.points)):
                     state.pi[e, q] = system.lam * state.log_j[e, q]
         residual(system, state, p)
+        if walls is not None:
+            spread(system, x, walls.x)
+            near = _barrier.near_edges(walls.x, walls.edges, walls.gap, walls.sweep)
+            if not _couples(system.pattern, walls.number, near):
+                return False, factorisations, False
+            push(system, state, walls, near)
         theta, fresh = 1.0, not factorised
         while not factorised:
             if factorisations >= allowed or theta < 0.0:
-                return False, factorisations
+                return False, factorisations, True
             tangent(system, state, p, theta)
+            if walls is not None:
+                stiffen(system, state, walls, near, theta)
             factorisations += 1
             factorised = factorise(system.pattern, state.tangent, state.inverses) == len(state.inverses)
             if not factorised:
@@ -475,22 +503,25 @@ def _newton(system, state, x, p, factorised, allowed):
         length = 0.0
         for i in range(len(step)):
             if not np.isfinite(step[i]):
-                return False, factorisations
+                return False, factorisations, True
             step[i] = -step[i]
             length = max(length, abs(step[i]))
-        s = 1.0
+        s = min(1.0, MAX_MOVE / max(length, MAX_MOVE))
+        if walls is not None and length > 0.01 * walls.gap:
+            spread(system, step, walls.step)
+            s = _barrier.share_before_touch(walls, s)
         if length > REUSE:  # shorter moves turn no element inside out, and are the last but a few
-            s = _share_of_step(system, state, step, min(1.0, MAX_MOVE / max(length, MAX_MOVE)))
+            s = _share_of_step(system, state, step, s)
         for i in range(len(x)):
             x[i] += s * step[i]
         shrinkage = length / last_length if last_length > 0.0 else 1.0
         whole = s == 1.0 and theta == 1.0  # θ = 1: positive definite, so stable
         stalled = fresh and length <= ROUNDED and shrinkage > 0.5
         if whole and (length <= TOLERANCE or stalled):
-            return True, factorisations
+            return True, factorisations, True
         factorised = whole and length <= REUSE and shrinkage <= 0.1
         last_length = length
-    return False, factorisations
+    return False, factorisations, True
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -543,3 +574,53 @@ def _turned_over(corners, kind, gauss):
             if not J > 0.0:
                 return True
     return False
+
+
+# --- contact ----------------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True)
+def spread(system, free, full):
+    """Write the free nodes' values, (2 free,), into those of all nodes, (n, 2)."""
+    for i in range(len(system.order)):
+        full[system.order[i], 0], full[system.order[i], 1] = free[2 * i], free[2 * i + 1]
+
+
+@njit(cache=True, nogil=True)
+def _couples(pattern, number, near):
+    """Whether a matrix of the pattern has a block for each two nodes of each row of `near`."""
+    for row in near:
+        for a in range(3):
+            for b in range(a):
+                i, j = max(number[row[a]], number[row[b]]), min(number[row[a]], number[row[b]])
+                if j >= 0:
+                    k = block_number(pattern, i, j)
+                    if k == pattern.column_start[j + 1] or pattern.rows[k] != i:
+                        return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def push(system, state, walls, near):
+    """Add the first derivative of the barrier's potential to the residual."""
+    total = _barrier.forces(walls, near)
+    for i in range(len(system.order)):
+        for d in range(2):
+            if not len(system.pinned) or not system.pinned[i, d]:
+                state.residual[2 * i + d] += total[system.order[i], d]
+
+
+@njit(cache=True, nogil=True)
+def stiffen(system, state, walls, near, theta):
+    """Add the second derivative of the barrier's potential to the tangent."""
+    gradient, hessian = np.empty(6), np.empty((6, 6))
+    for row in near:
+        _barrier.barrier(walls.x, row[0], row[1], row[2], walls.gap, theta, gradient, hessian)
+        for a in range(3):
+            for b in range(3):
+                i, j = walls.number[row[a]], walls.number[row[b]]
+                if i >= j >= 0:
+                    k = block_number(system.pattern, i, j)
+                    for d in range(4):
+                        state.tangent[k, d] += walls.weights[row[3]] * hessian[2 * a + d // 2, 2 * b + d % 2]
+    _pin(system.pattern, system.pinned, state.tangent)

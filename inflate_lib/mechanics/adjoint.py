@@ -20,7 +20,7 @@ import numpy as np
 from scipy import ndimage
 
 from inflate_lib.mechanics import _kernels
-from inflate_lib.mechanics.inflation import Inflation, assemble, build_system
+from inflate_lib.mechanics.inflation import Inflation, equilibrium
 from inflate_lib.structures.labels import THICKNESS, VOID, WALL
 
 _SQUARE = np.ones((2 * THICKNESS + 1, 2 * THICKNESS + 1))  # that the cavity is grown by to get the wall
@@ -52,8 +52,7 @@ def sensitivities(result: Inflation, gradient: Callable[[np.ndarray], np.ndarray
     if not np.isfinite(deformed).all():
         raise ValueError(f"the structure has no equilibrium to differentiate: {result.reason}")
     load = gradient(deformed)
-    system = build_system(result.mesh, result.element, result.lame)
-    state = assemble(system, deformed, result.pressures[step])
+    system, state = equilibrium(result, step)
     if _kernels.factorise(system.pattern, state.tangent, state.inverses) < len(system.order):
         raise ValueError("the equilibrium is not stable: its tangent is not positive definite")
     free = load[system.order]

@@ -1,19 +1,45 @@
-"""Self-contact: where the walls of an inflated structure pass through one another.
+"""Contact: walls that pass through one another, and a barrier that does not let them.
 
-The simulation has no contact, as the paper's has none: walls that meet do not notice. Whether they did is a matter of
-geometry. The boundary of the wall consists of the edges that belong to one element only; where two of them that share
-no node cross, wall lies upon wall. Nothing can lie upon something else unseen, one wall wholly within another, say: as
-long as no element is turned over, a place that is covered twice lies behind a border that crosses a border.
+The paper's simulation has no contact: walls that meet do not notice. Whether they did is a matter of geometry. The
+boundary of the wall consists of the edges that belong to one element only; where two of them that share no node cross,
+wall lies upon wall (:func:`self_contact`). Nothing can lie upon something else unseen, one wall wholly within another,
+say: as long as no element is turned over, a place that is covered twice lies behind a border that crosses a border.
+
+With ``inflate(label, contact=True)`` walls push one another away, without friction. Each boundary node i, which stands
+for half of the undeformed length of its two edges, ℓ_i, has a potential before each edge e that it is no end of, which
+is zero but where the two are nearer than a gap g:
+
+    Π_c = ½ κ Σ_i ℓ_i Σ_e [ b(d(i, e)) − ½ b(d(i, j_e)) − ½ b(d(i, k_e)) ],   b(d) = −g (1 − d/g)² ln(d/g).
+
+b is that of incremental potential contact (Li et al. 2020): twice continuously differentiable, and infinite at d = 0,
+so that no wall can be passed through. j_e and k_e are the ends of e; their terms take away what the two edges that meet
+in a node count twice, so that along a straight wall the sum is b(distance from the wall) however it is divided (Li et
+al. 2023), and a node slides from one edge to the next without a kink. Walls in contact are thus apart by a share of g,
+press on one another with −κ b′, and the answer for walls that touch is the limit g → 0; κ hardly matters.
+
+Π_c is added to the potential of :mod:`inflate_lib.mechanics.inflation`: equilibria stay its minima, the tangent stays
+symmetric. Where nothing comes near, nothing is added. An inflation is therefore computed without contact first, and
+followed anew from the last load step before walls came near. The same Newton method then also shortens each step so
+that no node goes through an edge on its way, and the pattern of the tangent couples nodes and edges that are near.
 """
 
-import numpy as np
-from numba import njit
+from typing import TYPE_CHECKING
 
-from inflate_lib.mechanics.inflation import Inflation
+import numpy as np
+
+from inflate_lib.mechanics import _barrier, _kernels
 from inflate_lib.mechanics.mesh import boundary_edges
 
+if TYPE_CHECKING:
+    from inflate_lib.mechanics.inflation import Inflation
 
-def self_contact(result: Inflation, step: int = -1) -> int:
+GAP = 0.1  # at which walls begin to push, in lengths of the shortest edge of the boundary: a tenth of a pixel
+STIFFNESS = 0.1  # κ, in units of μ: the pressure between walls that are about half a gap apart
+_PATIENCE = 100  # factorisations before a push is tried
+_COUPLED = 5.0  # gaps within which the pattern couples nodes and edges, so that it is seldom made anew
+
+
+def self_contact(result: "Inflation", step: int = -1) -> int:
     """Number of pairs of boundary edges that cross one another in the deformed structure.
 
     Edges that share a node are left out, and so are edges that merely touch (an end of one lies on the other, or they
@@ -33,7 +59,7 @@ def self_contact(result: Inflation, step: int = -1) -> int:
     return len(crossing_edges(result, step))
 
 
-def first_contact(result: Inflation) -> int | None:
+def first_contact(result: "Inflation") -> int | None:
     """Index of the first load step at which walls cross one another, or None where they never do.
 
     Every load step is looked at, since walls may cross and part again, and none of the states between two of them.
@@ -44,65 +70,142 @@ def first_contact(result: Inflation) -> int | None:
 
 def crossing_edges(result, step=-1):
     """The pairs behind :func:`self_contact`, (k, 2, 2) int: pair, edge, node numbers of its two ends."""
-    edges, positions = boundary_edges(result.cells), result.deformed(step)
-    order, pairs = np.arange(len(edges)), np.empty((0, 2), dtype=np.int64)
-    while (found := _find_crossings(positions, edges, pairs, order)) > len(pairs):
-        pairs = np.empty((found, 2), dtype=np.int64)
+    edges = boundary_edges(result.cells)
+    pairs = _barrier.crossings(result.deformed(step), edges, np.arange(len(edges)))
     return edges[pairs[np.lexsort(pairs.T[::-1])]]
 
 
-@njit(cache=True, nogil=True)
 def first_crossing(positions, edges):
     """Index of the first of several states, positions (states, n, 2), in which edges (k, 2) cross; -1 for none."""
-    order, none = np.arange(len(edges)), np.empty((0, 2), dtype=np.int64)
-    for step in range(len(positions)):
-        if _find_crossings(positions[step], edges, none, order):
-            return step
-    return -1
+    return _barrier.first_touch(positions, edges, 0.0)
 
 
-@njit(cache=True, nogil=True)
-def _find_crossings(x, edges, pairs, order):
-    """Number of proper crossings; the first ones are written to `pairs`, as many as it has rows.
+def contact_forces(result: "Inflation", step: int = -1) -> np.ndarray:
+    """Forces by which walls push one another away, in the unit of pressure times the frame's side.
 
-    A sweep from left to right: an edge is held against those that begin before it ends, which are few. `order` is
-    brought into that order, which is quick where it was nearly so before.
+    Parameters
+    ----------
+    result : Inflation
+    step : int
+        Load step, the last one by default.
+
+    Returns
+    -------
+    (n, 2) float
+        Force on each node; zero where the result is one without contact. Their sum and their moment are zero.
     """
-    count, n = 0, len(edges)
-    left, right, bottom, top = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    for e in range(n):
-        i, j = edges[e]
-        left[e], right[e] = min(x[i, 0], x[j, 0]), max(x[i, 0], x[j, 0])
-        bottom[e], top[e] = min(x[i, 1], x[j, 1]), max(x[i, 1], x[j, 1])
-    for last in range(1, n):
-        e, place = order[last], last
-        while place > 0 and left[order[place - 1]] > left[e]:
-            order[place] = order[place - 1]
-            place -= 1
-        order[place] = e
-    for first in range(n):
-        e = order[first]
-        i, j = edges[e]
-        for second in range(first + 1, n):
-            f = order[second]
-            if left[f] > right[e]:
+    positions = result.deformed(step)
+    if not result.gap or not np.isfinite(positions).all():
+        return np.zeros_like(positions)
+    walls = walls_of(result.mesh, result.gap, result.lame[1])
+    walls.x[:] = positions
+    return -_barrier.forces(walls, _barrier.near_edges(walls.x, walls.edges, walls.gap, walls.sweep))
+
+
+def walls_of(mesh, gap, mu):
+    """The walls of a mesh, to be kept apart.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    gap : float or None
+        Distance at which the barrier begins; a share `GAP` of the shortest edge of the boundary where it is None.
+    mu : float
+        Shear modulus.
+
+    Returns
+    -------
+    Walls
+    """
+    edges = boundary_edges(mesh.cells)
+    length = np.hypot(*(mesh.nodes[edges[:, 1]] - mesh.nodes[edges[:, 0]]).T)
+    gap = GAP * length.min() if gap is None else gap
+    nodes, number = mesh.nodes.copy(), np.full(len(mesh.nodes), -1)
+    weights = 0.25 * STIFFNESS * mu * length
+    return _barrier.Walls(edges, weights, gap, number, nodes, np.zeros_like(nodes), np.arange(len(edges)))
+
+
+def coupled_system(build, walls, positions, couplings=()):
+    """A system whose pattern couples the nodes and edges that are near at some positions, and those `couplings`.
+
+    Parameters
+    ----------
+    build : callable
+        ``build(couplings)`` → System, :func:`inflate_lib.mechanics.inflation.build_system` of a mesh.
+    walls : Walls
+        Gets the numbers that the nodes have in this system.
+    positions : (n, 2) float
+    couplings : (c, 4) int
+
+    Returns
+    -------
+    System
+    (c, 4) int
+        All that is coupled.
+    """
+    near = _barrier.near_edges(positions, walls.edges, _COUPLED * walls.gap, walls.sweep)
+    near[:, 3] = near[:, 0]  # three nodes, as elements of the pattern
+    couplings = np.concatenate([np.reshape(couplings, (-1, 4)).astype(np.int64), near])
+    system = build(couplings)
+    walls.number[system.order] = np.arange(len(system.order))
+    return system, couplings
+
+
+def keep_apart(build, walls, displacement, pressures, allowed):
+    """Follow an inflation anew from where walls come near one another, with the barrier between them.
+
+    Parameters
+    ----------
+    build : callable
+        As for :func:`coupled_system`.
+    walls : Walls
+        As :func:`walls_of` gives them, at rest.
+    displacement : (steps, n, 2) float
+        Without contact, of the load steps that were reached.
+    pressures : (steps,) float
+        All of them.
+    allowed : int
+        Factorisations.
+
+    Returns
+    -------
+    displacement : (reached, n, 2) float
+        The same array where no walls come near.
+    factorisations : int
+    why : int
+        Why no more load steps were reached, as :func:`_kernels.march` says it.
+
+    Raises
+    ------
+    ValueError
+        Where walls are nearer than the gap before they are inflated.
+    """
+    rest = walls.x.copy()
+    shapes = np.concatenate([rest[None], rest + displacement])
+    first = _barrier.first_touch(shapes, walls.edges, walls.gap)
+    if first == 0:
+        raise ValueError(f"contact: walls are nearer than the gap of {walls.gap:.3g} before they are inflated")
+    if first < 0 and len(displacement) == len(pressures):
+        return displacement, 0, 0
+    found, pressures = list(shapes if first < 0 else shapes[:first]), np.array([0.0, *pressures])
+    factorisations, why, near, couplings, shaken = 0, 0, found[-1], (), 0
+    # Where a node is exactly before a node, as in symmetric structures, it is on a ridge: a push, and it finds a side.
+    shake = 0.01 * walls.gap * np.random.default_rng(0).uniform(-1, 1, rest.shape)
+    while len(found) < len(pressures) and factorisations < allowed:
+        system, couplings = coupled_system(build, walls, near, couplings)
+        at, walls.x[:] = len(found), rest
+        start = found[-1] + (shake if shaken == at else 0.0)
+        left = allowed - factorisations if shaken == at else min(allowed - factorisations, _PATIENCE)
+        moved, reached, spent, why = _kernels.march(
+            system, _kernels.State.of(system), pressures[at:], left, walls, start[system.order].ravel(),
+            pressures[at - 1],
+        )  # fmt: skip
+        for free in moved[[*range(reached), -1]]:
+            found.append(found[-1].copy())
+            found[-1][system.order] = free.reshape(-1, 2)
+        near, factorisations = found.pop(), factorisations + spent
+        if why != _kernels.UNCOUPLED:
+            if shaken == len(found):
                 break
-            # NaN fails every comparison and ends at the last test
-            if bottom[f] > top[e] or top[f] < bottom[e]:
-                continue
-            k, m = edges[f]
-            if i in (k, m) or j in (k, m):
-                continue
-            here = _side(x, i, j, k) * _side(x, i, j, m)
-            there = _side(x, k, m, i) * _side(x, k, m, j)
-            if here < 0 and there < 0:
-                if count < len(pairs):
-                    pairs[count, 0], pairs[count, 1] = min(e, f), max(e, f)
-                count += 1
-    return count
-
-
-@njit(cache=True, nogil=True)
-def _side(x, i, j, k):
-    """Twice the signed area of the triangle i, j, k: positive where k is on the left of the way from i to j."""
-    return (x[j, 0] - x[i, 0]) * (x[k, 1] - x[i, 1]) - (x[j, 1] - x[i, 1]) * (x[k, 0] - x[i, 0])
+            shaken, near = len(found), found[-1]
+    return np.array(found[1:]).reshape(-1, *rest.shape) - rest, factorisations, why

@@ -21,12 +21,13 @@ element (``"stabilised"``), which has no potential, is in :mod:`inflate_lib.mech
 import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
 from inflate_lib._checks import choice, numbers, positive_number, whole_number
-from inflate_lib.mechanics import _kernels, material, stabilised
+from inflate_lib.mechanics import _barrier, _kernels, material, stabilised
+from inflate_lib.mechanics.contact import coupled_system, keep_apart, walls_of
 from inflate_lib.mechanics.material import LAMBDA, MU
 from inflate_lib.mechanics.mesh import Mesh, build_mesh, check_mesh
 
@@ -67,6 +68,8 @@ class Inflation:
         Number of factorisations of the tangent, the measure of effort.
     lame : (float, float)
         Lamé parameters (λ, μ).
+    gap : float
+        Distance at which walls begin to push one another away; 0 without contact.
     """
 
     mesh: Mesh
@@ -78,6 +81,7 @@ class Inflation:
     reason: str
     factorisations: int
     lame: tuple[float, float]
+    gap: float = 0.0
 
     @property
     def nodes(self) -> np.ndarray:
@@ -135,6 +139,7 @@ def inflate(
     lame: tuple[float, float] = (LAMBDA, MU),
     clamped: str = "bottom",
     time_limit: float | None = None,
+    contact: bool | float = False,
 ) -> Inflation:
     """Inflate a structure given as a label image.
 
@@ -159,6 +164,10 @@ def inflate(
     time_limit : float, optional
         Seconds after which to give up, counted on a nominal core of `_SPEED`: it becomes a number of factorisations,
         from the size of the mesh, so that the outcome depends neither on the machine nor on its load.
+    contact : bool or float
+        Whether walls push one another away, without friction (:mod:`inflate_lib.mechanics.contact`), or pass through
+        one another, as in the paper. A number is the gap at which they begin to, in lengths of the unit square; True
+        takes a tenth of the shortest edge, which is a tenth of a pixel without refinement.
 
     Returns
     -------
@@ -177,6 +186,9 @@ def inflate(
     whole_number("refine", refine, 1)
     if time_limit is not None:
         positive_number("time_limit", time_limit, "seconds")
+    if contact is not False:
+        gap = None if contact is True else positive_number("contact", contact, "lengths of the unit square, or a bool")
+        choice("element", element, WITH_POTENTIAL)
     mesh = check_mesh(label) if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
 
     system = build_system(mesh, "mean-dilatation" if element == "stabilised" else element, (lam, mu))
@@ -184,13 +196,19 @@ def inflate(
     allowed, limit = max(_FACTORISATIONS[0], _FACTORISATIONS[1] * n_steps), ""
     if time_limit is not None and time_limit < allowed * nominal_seconds(system):
         allowed, limit = int(time_limit / nominal_seconds(system)), f", the time limit of {time_limit:g} s"
-    positions, reached, factorisations, turned_over = _kernels.march(
-        system, _kernels.State.of(system), pressures, allowed
+    positions, reached, factorisations, why = _kernels.march(
+        system, _kernels.State.of(system), pressures, allowed, None, system.x0, 0.0
     )
     displacement = np.full((n_steps, *mesh.nodes.shape), np.nan)
     displacement[:reached] = 0.0
-    free_positions = positions.reshape(n_steps, len(system.order), 2)[:reached]
+    free_positions = positions[:reached].reshape(reached, len(system.order), 2)
     displacement[:reached, system.order] = free_positions - mesh.nodes[system.order]
+    walls = None
+    if contact is not False:
+        walls, build = walls_of(mesh, gap, mu), partial(build_system, mesh, element, (lam, mu))
+        found, more, ended = keep_apart(build, walls, displacement[:reached], pressures, allowed - factorisations)
+        reached, factorisations, why = len(found), factorisations + more, ended if more else why
+        displacement[:reached], displacement[reached:] = found, np.nan
     if element == "stabilised":
         gradients, weights = shape_gradients(mesh.nodes[mesh.cells])
         starts = mesh.nodes + displacement[:reached]
@@ -200,13 +218,14 @@ def inflate(
     reason = ""
     if reached < n_steps:
         reason = f"no equilibrium was found at load step {reached + 1} of {n_steps} (pressure {pressures[reached]:.4g})"
-        if turned_over:
+        if why == _kernels.TURNED_OVER:
             reason += ": an element turns inside out"
         elif factorisations >= allowed:
             reason += f" within {allowed} factorisations{limit}"
     return Inflation(
-        mesh, element, times, pressures, displacement, reached == n_steps, reason, int(factorisations), (lam, mu)
-    )
+        mesh, element, times, pressures, displacement, reached == n_steps, reason, int(factorisations), (lam, mu),
+        walls.gap if walls else 0.0,
+    )  # fmt: skip
 
 
 def load_history(pressure, n_steps=None):
@@ -267,7 +286,7 @@ def shape_gradients(corners):
     return np.einsum("qaj,mqij->mqai", local, cofactor) / weights[..., None, None], weights
 
 
-def build_system(mesh, element="mean-dilatation", lame=(LAMBDA, MU)):
+def build_system(mesh, element="mean-dilatation", lame=(LAMBDA, MU), couplings=None):
     """Everything about a mesh and its material that an inflation does not change: a :class:`_kernels.System`.
 
     Parameters
@@ -276,6 +295,8 @@ def build_system(mesh, element="mean-dilatation", lame=(LAMBDA, MU)):
     element : {"mean-dilatation", "q1"}
     lame : (float, float)
         Lamé parameters (λ, μ).
+    couplings : (c, 4) int, optional
+        Nodes that the pattern couples besides those of an element.
 
     Returns
     -------
@@ -288,7 +309,8 @@ def build_system(mesh, element="mean-dilatation", lame=(LAMBDA, MU)):
     free = np.flatnonzero(~held.all(axis=1))
     number = np.full(len(mesh.nodes), -1)
     number[free] = np.arange(len(free))
-    pattern = _kernels.pattern(len(free), number[mesh.cells])
+    coupled = mesh.cells if couplings is None else np.concatenate([mesh.cells, couplings])
+    pattern = _kernels.pattern(len(free), number[coupled])
     order = free[pattern.order]
     number[order] = np.arange(len(free))
     cells, edges = number[mesh.cells], number[mesh.pressure_edges]
@@ -312,7 +334,7 @@ def build_system(mesh, element="mean-dilatation", lame=(LAMBDA, MU)):
     )  # fmt: skip
 
 
-def assemble(system, positions, pressure):
+def assemble(system, positions, pressure, walls=None):
     """The equilibrium equations at any positions.
 
     Parameters
@@ -322,6 +344,8 @@ def assemble(system, positions, pressure):
     positions : (n, 2) float
         Deformed coordinates of the nodes of its mesh; those of clamped nodes are not looked at.
     pressure : float
+    walls : Walls, optional
+        Whose contact is to be counted in, from :func:`inflate_lib.mechanics.contact.walls_of`.
 
     Returns
     -------
@@ -334,7 +358,20 @@ def assemble(system, positions, pressure):
     state.pi[:] = system.lam * state.log_j
     _kernels.tangent(system, state, pressure, 1.0)
     _kernels.residual(system, state, pressure)
+    if walls is not None:
+        walls.x[:] = positions
+        near = _barrier.near_edges(walls.x, walls.edges, walls.gap, walls.sweep)
+        _kernels.push(system, state, walls, near)
+        _kernels.stiffen(system, state, walls, near, 1.0)
     return state
+
+
+def equilibrium(result, step=-1):
+    """The system of a result and, at one of its load steps, the state from :func:`assemble`, contact counted in."""
+    build, positions = partial(build_system, result.mesh, result.element, result.lame), result.deformed(step)
+    walls = walls_of(result.mesh, result.gap, result.lame[1]) if result.gap else None
+    system = coupled_system(build, walls, positions)[0] if walls else build()
+    return system, assemble(system, positions, result.pressures[step], walls)
 
 
 def _element_tables(corners, element):

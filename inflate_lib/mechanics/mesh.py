@@ -157,10 +157,11 @@ def boundary_edges(cells):
     (k, 2) int
         Node numbers of the two ends of each edge, the smaller first.
     """
-    ends = np.stack([cells, np.roll(cells, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
-    low, high = ends.min(axis=1), ends.max(axis=1)
-    codes, counts = np.unique(low * (high.max() + 1) + high, return_counts=True)
-    return np.column_stack(np.divmod(codes[counts == 1], high.max() + 1))
+    starts, base = np.asarray(cells, dtype=np.int64), np.max(cells) + 1
+    ends = starts[:, [1, 2, 3, 0]]
+    codes = np.sort(np.ravel(np.minimum(starts, ends) * base + np.maximum(starts, ends)))
+    differs = np.concatenate([[True], codes[1:] != codes[:-1], [True]])
+    return np.column_stack(np.divmod(codes[differs[1:] & differs[:-1]], base))
 
 
 def boundary_loops(cells):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from inflate_lib.descriptors.registry import basic
+from inflate_lib.mechanics.contact import contact_forces
 from inflate_lib.plotting.structures import draw_inflated, draw_mesh
 from inflate_lib.plotting.style import COLOURS, figure, logarithmic
 
@@ -56,6 +57,17 @@ def plot_mesh_study(table):
         ax.set_title(one.title)
     axes[0].set_ylabel("|difference from the truth| (%)")
     fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return fig
+
+
+def plot_contact(results, steps, titles):
+    """Load steps of inflated structures side by side on one scale, with the nodes that contact acts on."""
+    fig, axes = figure(1, len(results), height=5.4, sharex=True, sharey=True)
+    for ax, result, step, title in zip(axes, results, steps, titles, strict=True):
+        x, forces = draw_inflated(ax, result, step, ghost=False), contact_forces(result, step)
+        acts = np.linalg.norm(forces, axis=1) > 0
+        ax.plot(*x[acts].T, "o", color=COLOURS.target, markersize=3, zorder=4)
+        ax.set_title(title)
     return fig
 
 

@@ -364,3 +364,13 @@ def test_version(monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         app.run()
     assert not end.value.code and capsys.readouterr().out == f"inflate {inflate_lib.__version__}\n"
+
+
+def test_contact_is_that_of_the_library(folder, run):
+    code, out, _ = run("seven.png", "--contact", "--json", "--steps", "2")
+    said = json.loads(out)
+    expected = describe(inflate(label_image(DIGITS[0]), n_steps=2, contact=True))
+    assert code == 0 and said["parameters"]["contact"] is True
+    assert said["structures"][0]["width"] == expected.width
+    code, _, err = run("seven.png", "--contact", "--moose", "cases")
+    assert code == 1 and "contact: the cases for MOOSE have none" in err and not (folder / "cases").exists()

@@ -1,15 +1,29 @@
-"""Self-contact: hand-made shapes that cross, touch and keep apart; an independent count; time."""
+"""Self-contact: hand-made shapes that cross, touch and keep apart; an independent count; walls that cannot cross."""
 
 import time
+from functools import partial
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from mechanics_peers import random_label
+from mechanics_peers import places, random_label
+from scipy import sparse
 
-from inflate_lib import inflate, label_image
-from inflate_lib.mechanics.contact import crossing_edges, first_contact, self_contact
-from inflate_lib.mechanics.mesh import boundary_edges
+from inflate_lib import describe, inflate, label_image
+from inflate_lib.descriptors import get_descriptor
+from inflate_lib.mechanics import _barrier, contact
+from inflate_lib.mechanics.adjoint import sensitivities
+from inflate_lib.mechanics.contact import (
+    contact_forces,
+    coupled_system,
+    crossing_edges,
+    first_contact,
+    self_contact,
+    walls_of,
+)
+from inflate_lib.mechanics.inflation import assemble, build_system, equilibrium
+from inflate_lib.mechanics.mesh import Mesh, boundary_edges
 from inflate_lib.structures.sources import load_sevens
 
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
@@ -146,3 +160,213 @@ def test_it_takes_no_time():
         self_contact(result)
         times.append(time.perf_counter() - started)
     assert min(times) < 1e-3
+
+
+# --- walls that cannot cross ------------------------------------------------------------------------------------------
+
+GAP = 0.1
+
+
+def barrier_at(x, gap=GAP):
+    """Potential of node 0 before the edge from node 1 to node 2, and its derivatives (3, 2) and (6, 6)."""
+    gradient, hessian = np.empty(6), np.empty((6, 6))
+    potential = _barrier.barrier(x, 0, 1, 2, gap, 1.0, gradient, hessian)
+    return potential, gradient.reshape(3, 2), hessian
+
+
+def arch():
+    """A hand-made cavity whose outer walls meet."""
+    image = np.zeros((28, 28))
+    image[4:24, 6:9] = image[4:24, 14:17] = image[4:7, 6:17] = 1
+    return label_image(image)
+
+
+def slit():
+    """A tall, narrow cavity, which suction closes."""
+    image = np.zeros((28, 28))
+    image[4:26, 13:15] = 1
+    return label_image(image)
+
+
+def blocks(n_lower, n_upper, apart=0.1):
+    """Two square blocks above one another, held at their far ends and along their sides, with pressure between them."""
+
+    def block(n, bottom):
+        x, y = np.meshgrid(np.linspace(0, 1, n + 1), bottom + np.linspace(0, 1, n + 1))
+        corner = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+        return np.column_stack([x.ravel(), y.ravel()]), corner[:, None] + [0, 1, n + 2, n + 1]
+
+    (lower, cells), (upper, more) = block(n_lower, 0.0), block(n_upper, 1.0 + apart)
+    nodes, first = np.concatenate([lower, upper]), len(lower)
+    face = first - n_lower - 1 + np.arange(n_lower + 1), first + np.arange(n_upper + 1)[::-1]
+    edges = np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in face])
+    held = np.column_stack([np.ones(len(nodes), dtype=bool), np.isin(nodes[:, 1], [0.0, 2.0 + apart])])
+    return Mesh(nodes, np.concatenate([cells, first + more]), edges, held)
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    result = inflate(arch(), contact=True)
+    assert result.converged and first_contact(inflate(arch())) is not None
+    return result
+
+
+def as_matrix(system, blocks):
+    """The blocks of a lower triangle as a symmetric sparse matrix."""
+    rows, columns = places(system.pattern)
+    rows, columns = (2 * rows[:, None] + [0, 0, 1, 1]).ravel(), (2 * columns[:, None] + [0, 1, 0, 1]).ravel()
+    lower = sparse.csc_array((blocks.ravel(), (rows, columns)))
+    return sparse.csc_array(sparse.tril(lower) + sparse.tril(lower, -1).T)
+
+
+def test_barrier_is_a_potential():
+    """Force and stiffness against difference quotients: before the edge, before its ends, on both sides, and turned."""
+    rng, h = np.random.default_rng(0), 1e-6
+    for along in rng.uniform(-0.08, 1.08, 60):
+        angle = rng.uniform(0, 2 * np.pi)
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        x = np.array([[along, rng.choice([-1, 1]) * rng.uniform(0.01, 0.09)], [0, 0], [1, 0]]) @ turn.T
+        potential, force, stiffness = barrier_at(x)
+        assert potential >= 0
+        for unknown in range(6):
+            move = np.zeros(6)
+            move[unknown] = h
+            plus, minus = barrier_at(x + move.reshape(3, 2)), barrier_at(x - move.reshape(3, 2))
+            assert force.ravel()[unknown] == pytest.approx((plus[0] - minus[0]) / (2 * h), rel=1e-5, abs=1e-7)
+            slope = (plus[1] - minus[1]).ravel() / (2 * h)
+            assert np.allclose(stiffness[unknown], slope, rtol=1e-5, atol=1e-5 * np.abs(stiffness).max())
+
+
+def test_barrier_begins_at_the_gap_without_a_kink_and_has_no_end():
+    def before_the_middle(d):
+        return barrier_at(np.array([[0.5, d], [0, 0], [1, 0]]))
+
+    potential, force, stiffness = before_the_middle(GAP * (1 - 1e-6))
+    assert 0 <= potential < 1e-12 and np.abs(force).max() < 1e-5 and np.abs(stiffness).max() < 1e-3
+    assert not any(np.any(part) for part in before_the_middle(GAP))
+    assert before_the_middle(1e-300)[0] > 600 * GAP
+    assert not before_the_middle(0.0)[0] < np.inf  # so that no equilibrium is found there, but no error raised
+
+
+def test_a_straight_wall_is_one_wall_however_it_is_divided():
+    d = 0.03
+    whole, force, _ = barrier_at(np.array([[0.5, d], [-9, 0], [9, 0]]))
+    for place in (0.2, 0.5, 0.58, 0.6, 0.61):
+        corners = [-1, 0.2, 0.58, 0.6, 1.0, 2.0]
+        parts = [barrier_at(np.array([[place, d], [a, 0], [b, 0]])) for a, b in pairwise(corners)]
+        assert sum(part[0] for part in parts) == pytest.approx(whole, rel=1e-12)
+        assert np.allclose(sum(part[1][0] for part in parts), force[0], rtol=1e-12, atol=1e-14)
+
+
+def test_where_nothing_comes_near_nothing_changes():
+    compared = 0
+    for image in DIGITS[:40]:
+        label = label_image(image)
+        free, guarded = inflate(label), inflate(label, contact=True)
+        if not contact_forces(guarded).any() and first_contact(free) is None:
+            compared += np.array_equal(free.displacement, guarded.displacement)
+            assert np.abs(free.displacement - guarded.displacement).max() < 1e-10
+    assert compared > 10
+
+
+@pytest.mark.mnist
+def test_walls_do_not_cross_at_any_load_step():
+    """Sevens whose walls cross without contact, some from the first load steps on."""
+    sevens = load_sevens("mnist").images
+    for number in (4, 8, 15, 16, 225):
+        label = label_image(sevens[number])
+        free, guarded = inflate(label), inflate(label, contact=True)
+        assert first_contact(free) is not None
+        assert guarded.converged and first_contact(guarded) is None
+        before = max(first_contact(free) - 2, 0)
+        assert np.array_equal(guarded.displacement[:before], free.displacement[:before])
+        shape, mirrored = describe(guarded), describe(inflate(label[:, ::-1], contact=True))
+        assert (mirrored.width, mirrored.hull_area) == pytest.approx((shape.width, shape.hull_area), rel=1e-7)
+
+
+def test_tangent_and_residual_belong_together(pressed):
+    """At positions in contact, along random moves of all free nodes."""
+    build, x = partial(build_system, pressed.mesh, pressed.element, pressed.lame), pressed.deformed()
+    walls = walls_of(pressed.mesh, pressed.gap, pressed.lame[1])
+    system, _ = coupled_system(build, walls, x)
+    matrix, h = as_matrix(system, assemble(system, x, 0.01, walls).tangent), 1e-7
+    for seed in range(3):
+        move = np.zeros_like(x)
+        move[system.order] = np.random.default_rng(seed).normal(size=(len(system.order), 2))
+        plus, minus = (assemble(system, x + e * move, 0.01, walls).residual for e in (h, -h))
+        expected = matrix @ move[system.order].ravel()
+        assert np.abs((plus - minus) / (2 * h) - expected).max() < 1e-5 * np.abs(expected).max()
+
+
+def test_contact_forces_balance(pressed):
+    """Walls push one another with forces whose sum and moment are zero; with the rest every free node is at rest."""
+    for step in range(len(pressed.load_steps)):
+        forces, x = contact_forces(pressed, step), pressed.deformed(step)
+        assert np.abs(forces.sum(axis=0)).max() < 1e-14
+        assert abs(np.sum(x[:, 0] * forces[:, 1] - x[:, 1] * forces[:, 0])) < 1e-14
+        assert np.abs(equilibrium(pressed, step)[1].residual).max() < 1e-10
+    assert np.abs(forces).max() > 1e-5
+
+
+@pytest.mark.parametrize(("n_lower", "n_upper"), [(4, 4), (5, 3)])
+def test_blocks_that_are_pulled_together_press_as_they_must(n_lower, n_upper):
+    """Suction stretches both by half of what separates them: a state of uniaxial strain, of which all is known.
+
+    Each stretched by ℓ, they bear P = μ (ℓ − 1/ℓ) + λ ln ℓ / ℓ; what the suction has besides presses on the contact.
+    """
+    mesh, (lam, mu), suction, errors = blocks(n_lower, n_upper), (1.0, 1.0), 0.3, []
+    stretch = 1.05
+    pressure = suction - mu * (stretch - 1 / stretch) - lam * np.log(stretch) / stretch
+    for gap in (0.02, 0.01, 0.005):
+        result = inflate(mesh, pressure=-suction, lame=(lam, mu), contact=gap)
+        assert result.converged and first_contact(result) is None
+        upper = mesh.nodes[:, 1] > 1.05
+        errors.append(abs(contact_forces(result)[upper, 1].sum() / pressure - 1))
+        face = mesh.nodes[:, 1] == 1.0
+        assert np.abs(result.displacement[-1][face, 1] - 0.05).max() < gap
+    assert errors[-1] < (lam + 2 * mu) * gap / 2 / pressure  # they are stretched by less than a gap too little
+    assert all(1.5 < a / b < 2.5 for a, b in pairwise(errors))  # the gap's own thickness
+
+
+def test_a_cavity_can_be_sucked_shut():
+    """Opposite nodes meet head on, which no equilibrium is stable in: the walls find a side, and go on."""
+    result = inflate(slit(), pressure=-0.01, contact=True)
+    assert result.converged and first_contact(inflate(slit(), pressure=-0.01)) is not None
+    assert first_contact(result) is None and contact_forces(result).any()
+
+
+def test_the_answer_has_a_limit_without_a_gap():
+    """Height, width and area change in proportion to the gap."""
+    sizes = [
+        [(shape := describe(inflate(arch(), contact=share / 28))).height, shape.width, shape.hull_area]
+        for share in (0.1, 0.05, 0.025, 0.0125)
+    ]
+    changes = np.abs(np.diff(sizes, axis=0)).max(axis=1)
+    assert changes[0] < 0.005
+    assert np.all(changes[1:] < 0.75 * changes[:-1])
+
+
+def test_derivatives_count_the_contact_in(pressed, monkeypatch):
+    """All elements stiffened together, but not the barrier: λ, μ grow and κ, which is in units of μ, shrinks."""
+    h, stiffness, ends = 1e-4, contact.STIFFNESS, []
+    lam, mu = pressed.lame
+    for e in (h, -h):
+        monkeypatch.setattr(contact, "STIFFNESS", stiffness / (1 + e))
+        ends.append(describe(inflate(pressed.mesh, lame=(lam * (1 + e), mu * (1 + e)), contact=True)).height)
+    monkeypatch.setattr(contact, "STIFFNESS", stiffness)
+    derivative = sensitivities(pressed, get_descriptor("height").gradient).sum()
+    assert derivative == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-3)
+
+
+@pytest.mark.parametrize("bad", ["yes", -0.1, 0.0, np.nan, np.inf, None, [0.1]])
+def test_contact_is_true_false_or_a_gap(bad):
+    with pytest.raises(ValueError, match="contact must be a positive number of lengths of the unit square, or a bool"):
+        inflate(arch(), contact=bad)
+
+
+def test_contact_that_cannot_be_is_refused():
+    with pytest.raises(ValueError, match="nearer than the gap"):
+        inflate(arch(), contact=0.5)
+    with pytest.raises(ValueError, match="element must be one of mean-dilatation, q1, not"):
+        inflate(arch(), element="stabilised", contact=True)
+    assert inflate(arch(), contact=False).gap == 0
