@@ -54,7 +54,8 @@ def tuned_file(path: Path, teacher: TrainedModel, recipe: Recipe, data) -> Path:
 
     def make(target, scratch):
         surrogate = judge_of(data, recipe)
-        loss, how = critic(surrogate, student, pairs.descriptor), (options["steps"], options["weight"])
+        loss = critic(surrogate, student, pairs.descriptor)
+        how = [options[name] for name in ("steps", "weight", "energy")]
         tune(student, teacher, loss, *pairs.pairs, *how, scratch, f"{pairs.descriptor}").save(target)
 
     key = pairs.about | {"student": student.fingerprint, "tuning": options, "code": step_version("alternative")}
