@@ -31,6 +31,8 @@ from inflate_lib.plotting.style import TEXT_WIDTH
 _HERO_NOTEBOOK = "22_explorer"
 _HERO = "glance"  # published by it
 _EXPLORER = "explorer_data"  # likewise
+_SHEET = "explorer_sheet"  # likewise: what the laboratory shows where no scripts run
+_SHEET_TEXT = "Inflated structures for nine targets, each with the target and the value achieved"
 _HERO_TEXT = "From a wanted size to structures that have it: target, denoising, structures, inflated structures"
 _HERO_CAPTION = (
     "From a target to three different structures drawn for it, one in each row: the target height; noise that a "
@@ -139,13 +141,17 @@ def _configure(app, config):
     stamps = [stamp for path in sorted(paths.EXECUTED.glob("*.ipynb")) if (stamp := executed_under(path))]
     profile = stamps[0]["profile"] if stamps else "none"
     config.html_theme_options = {**config.html_theme_options, "extra_footer": footer(profile)}
-    picture = Path(os.path.relpath(paths.FIGURES / profile / f"{_HERO}.png", paths.BOOK))
+    hero, sheet = (Path(os.path.relpath(paths.FIGURES / profile / f"{n}.png", paths.BOOK)) for n in (_HERO, _SHEET))
     notebook = paths.EXECUTED / f"{_HERO_NOTEBOOK}.ipynb"
     measured = recorded(notebook) if notebook.is_file() else {}
     error = "glance_n" in measured and _HERO_ERROR.format(**measured)
     caption = f"{_HERO_CAPTION} {error or ''} Drawn from results of this book's run (profile {profile})."
-    hero = f"```{{figure}} {picture.as_posix()}\n:alt: {_HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"
-    config.myst_substitutions = {**config.myst_substitutions, "hero": hero if (paths.BOOK / picture).is_file() else ""}
+    pictures = {
+        "hero": (hero, f"```{{figure}} {hero.as_posix()}\n:alt: {_HERO_TEXT}\n:name: fig-glance\n\n{caption}\n```"),
+        "explorer_sheet": (sheet, f"```{{image}} {sheet.as_posix()}\n:alt: {_SHEET_TEXT}\n```"),
+    }
+    shown = {name: text if (paths.BOOK / file).is_file() else "" for name, (file, text) in pictures.items()}
+    config.myst_substitutions = {**config.myst_substitutions, **shown}
     scripts = [paths.FIGURES / profile / f"{_EXPLORER}.js", *sorted((paths.ROOT / "lab" / "built").glob("*.js"))]
     config.html_static_path = [*config.html_static_path, *(str(script) for script in scripts if script.is_file())]
 

@@ -1,22 +1,26 @@
 /** The bench: a drawing, what it inflates to, and everything that can be changed about it. */
 
-import type { Descriptors } from "./descriptors.ts";
+import type { Descriptors, Targets } from "./descriptors.ts";
 import { button, choice, make, quiet, save, slider } from "./dom.ts";
 import { Drawing } from "./drawing.ts";
 import { ELEMENTS, type Element } from "./equilibrium.ts";
 import type { InflateOptions } from "./inflation.ts";
-import { EDGES, type Edge, type Image, type LabelOptions } from "./labels.ts";
+import { EDGES, type Edge, FRAME, type Image, type LabelOptions } from "./labels.ts";
 import type { Remote } from "./remote.ts";
 import {
   DEFAULTS,
   fromFragment,
   fromJson,
   fromPicture,
+  type NumberName,
+  RANGES,
   type Settings,
+  type State,
   toFragment,
   toJson,
   toPng,
   toSvg,
+  unpacked,
 } from "./share.ts";
 import { type Simulation, sentence } from "./simulate.ts";
 import starts from "./starts.json";
@@ -33,8 +37,8 @@ export class Bench {
   readonly drawing: Drawing;
   settings: Settings = { ...DEFAULTS };
   simulation: Simulation | null = null;
-  /** Called with what came out of every drawing, null where nothing did. */
-  onSimulated: (simulation: Simulation | null) => void = () => {};
+  /** What the structure is asked for, which is saved with it. */
+  asked: { get: () => Targets; set: (targets: Targets) => void } = { get: () => ({}), set: () => {} };
 
   private readonly views: HTMLCanvasElement[];
   private readonly legend = legend();
@@ -56,7 +60,7 @@ export class Bench {
   ) {
     this.drawing = new Drawing(() => {
       this.notice = "";
-      this.run();
+      this.simulate();
     });
     const view = () => make("canvas", { width: PICTURE, height: PICTURE, class: "lab-view", role: "img" });
     this.views = [view(), view()];
@@ -82,7 +86,7 @@ export class Bench {
     );
     const left = make("div", { class: "lab-left" }, this.startFrom(), this.drawing.element);
     this.element = make("div", { class: "lab-bench" }, left, result);
-    if (!small) this.element.append(make("div", { class: "lab-more" }, this.settingsPanel(), this.takeAlong()));
+    if (!small) this.element.append(make("div", { class: "lab-more" }, this.settingsPanel(), this.saveAndShare()));
     this.acceptFiles();
   }
 
@@ -91,11 +95,15 @@ export class Bench {
     return { pressure, lame: [lambda, mu], wall, clamped, element };
   }
 
-  /** Begin with what the page's address says, or with a seven. */
+  private get state(): State {
+    return { image: this.drawing.image, settings: this.settings, targets: this.asked.get() };
+  }
+
+  /** Begin with what the page's address says, or with a structure. */
   open(): void {
     try {
       const told = this.small ? null : fromFragment(location.hash);
-      if (told) this.take(told.image, told.settings);
+      if (told) this.restore(told);
       else this.take(start(starts[FIRST].image));
     } catch (error) {
       this.take(start(starts[FIRST].image));
@@ -103,11 +111,16 @@ export class Bench {
     }
   }
 
-  /** Replace drawing and settings. */
-  take(image: Image, settings: Settings = this.settings): void {
+  /** Replace the drawing. */
+  take(image: Image): void {
+    this.drawing.set(image);
+  }
+
+  private restore({ image, settings, targets }: State): void {
     this.settings = { ...settings };
     for (const follow of this.controls) follow(this.settings);
-    this.drawing.set(image);
+    this.asked.set(targets);
+    this.take(image);
   }
 
   /** An error as a sentence on the page. */
@@ -116,8 +129,8 @@ export class Bench {
     this.status.textContent = sentence((error as Error).message);
   }
 
-  /** Simulate the drawing. While that is going on, only the last of further strokes is kept. */
-  private async run(): Promise<void> {
+  /** Inflate the drawing and show it. While that is going on, only the last of further strokes is kept. */
+  async simulate(): Promise<void> {
     this.again = true;
     if (this.running) return;
     this.running = true;
@@ -153,7 +166,6 @@ export class Bench {
       this.numbers.replaceChildren(...(found.descriptors ? numbers(found.descriptors, found.result.lame[1]) : []));
     }
     this.show();
-    this.onSimulated(this.simulation);
   }
 
   private show(): void {
@@ -229,15 +241,14 @@ export class Bench {
   }
 
   private settingsPanel(): HTMLElement {
-    type Numeric = "pressure" | "lambda" | "mu" | "wall";
     const change = (changes: Partial<Settings>) => {
       Object.assign(this.settings, changes);
-      this.run();
+      this.simulate();
     };
-    const number = (name: Numeric, words: string, range: [number, number, number], digits: number) => {
+    const number = (name: NumberName, words: string, digits: number) => {
       const control = slider(
         words,
-        range,
+        RANGES[name],
         this.settings[name],
         (v) => v.toFixed(digits),
         (v) => change({ [name]: v }),
@@ -258,10 +269,10 @@ export class Bench {
       "details",
       { class: "lab-settings" },
       make("summary", {}, "Pressure, material, wall, clamped edge, element"),
-      number("pressure", "Pressure", [0, 0.03, 0.0005], 4),
-      number("lambda", "Lamé λ", [1, 40, 0.01], 2),
-      number("mu", "Lamé μ", [0.05, 0.5, 0.0001], 4),
-      number("wall", "Wall (pixels)", [1, 4, 1], 0),
+      number("pressure", "Pressure", 4),
+      number("lambda", "Lamé λ", 2),
+      number("mu", "Lamé μ", 4),
+      number("wall", "Wall (pixels)", 0),
       list(
         "clamped",
         "Clamped edge",
@@ -272,38 +283,33 @@ export class Bench {
         "Element",
         ELEMENTS.map((one): [Element, string] => [one, ELEMENT_WORDS[one]]),
       ),
-      button("The paper's values", () => this.take(this.drawing.image.slice(), DEFAULTS)),
+      button("The paper's values", () => {
+        change(DEFAULTS);
+        for (const follow of this.controls) follow(this.settings);
+      }),
     );
   }
 
-  private takeAlong(): HTMLElement {
-    const withLabel = (act: (simulation: Simulation) => void | Promise<void>) => async () => {
-      try {
-        if (!this.simulation) throw new Refusal("there is no structure to take along");
-        await act(this.simulation);
-      } catch (error) {
-        this.tell(error);
-      }
-    };
-    const link = () => {
-      history.replaceState(null, "", toFragment(this.drawing.image, this.settings));
-      const copied = navigator.clipboard?.writeText(location.href);
-      const done = (words: string) => {
-        this.status.textContent = words;
-      };
-      const itself = "The page's address is now the link to this structure";
-      if (copied)
-        copied.then(
-          () => done(`${itself}, and it is copied.`),
-          () => done(`${itself}.`),
-        );
-      else done(`${itself}.`);
+  private saveAndShare(): HTMLElement {
+    const saves = (words: string, name: string, type: string, content: () => string | Promise<Blob>) =>
+      button(words, async () => {
+        try {
+          const made = await content();
+          save(name, typeof made === "string" ? new Blob([made], { type }) : made);
+        } catch (error) {
+          this.tell(error);
+        }
+      });
+    const label = () => {
+      if (!this.simulation) throw new Refusal("there is no structure to save");
+      return this.simulation.label;
     };
     const file: HTMLInputElement = make("input", {
       type: "file",
       accept: ".json,image/*",
       class: "lab-hidden",
       tabindex: -1,
+      "aria-hidden": "true",
     });
     file.addEventListener("change", () => {
       if (file.files?.[0]) this.read(file.files[0]);
@@ -311,59 +317,56 @@ export class Bench {
     });
     return make(
       "div",
-      { class: "lab-buttons lab-along" },
-      make("span", {}, "Take along:"),
-      button(
-        "PNG",
-        withLabel(async ({ label }) => save("structure.png", await toPng(label))),
-      ),
-      button(
-        "SVG (mm)",
-        withLabel(({ label }) => save("outline.svg", text("image/svg+xml", toSvg(label, this.settings.clamped)))),
-      ),
-      button("JSON", () =>
-        save("structure.json", text("application/json", toJson(this.drawing.image, this.settings, this.targets))),
-      ),
-      button("Link", link),
+      { class: "lab-buttons" },
+      make("span", { class: "lab-title" }, "Save and share"),
+      saves("PNG", "structure.png", "image/png", () => toPng(label())),
+      saves("SVG (mm)", "outline.svg", "image/svg+xml", () => toSvg(label(), this.settings.clamped)),
+      saves("JSON", "structure.json", "application/json", () => toJson(this.state)),
+      button("Link", () => this.link()),
       button("Open a file …", () => file.click()),
       file,
     );
   }
 
-  /** What the structure is asked for, where something is. */
-  targets = {};
+  /** The page's address becomes a link to what it shows, and is copied where that is allowed. */
+  private async link(): Promise<void> {
+    try {
+      history.replaceState(null, "", toFragment(this.state));
+    } catch (error) {
+      this.tell(error);
+      return;
+    }
+    const copied = await navigator.clipboard?.writeText(location.href).then(
+      () => true,
+      () => false,
+    );
+    this.status.textContent = `The page's address is now a link to this structure${copied ? ", and it is copied" : ""}.`;
+  }
 
   private async read(file: File): Promise<void> {
     try {
       if (file.size > 20e6) throw new Refusal("the file is larger than 20 MB");
-      if (file.type === "application/json" || file.name.endsWith(".json")) {
-        const { image, settings } = fromJson(await file.text());
-        this.take(image, settings);
-      } else {
-        this.take(await fromPicture(file));
-      }
+      if (file.type === "application/json" || file.name.endsWith(".json")) this.restore(fromJson(await file.text()));
+      else this.take(await fromPicture(file));
     } catch (error) {
       this.tell(error);
     }
   }
 
+  /** A file may be dropped anywhere on the laboratory's page: the browser would leave the page for it. */
   private acceptFiles(): void {
-    this.element.addEventListener("dragover", (event) => event.preventDefault());
-    this.element.addEventListener("drop", (event) => {
+    const place: EventTarget = this.small ? this.element : document;
+    place.addEventListener("dragover", (event) => event.preventDefault());
+    place.addEventListener("drop", (event) => {
       event.preventDefault();
-      const file = event.dataTransfer?.files[0];
+      const file = (event as DragEvent).dataTransfer?.files[0];
       if (file) this.read(file);
     });
   }
 }
 
-const text = (type: string, content: string) => new Blob([content], { type });
-
 /** A structure to start from; an empty text is an empty drawing. */
-function start(packed: string): Image {
-  const told = fromFragment(`lab=${packed || "A".repeat(131)}`);
-  return told ? told.image : new Float64Array(784);
-}
+const start = (packed: string): Image => unpacked(packed) ?? new Float64Array(FRAME * FRAME);
 
 const inWords = ({ height, width, area }: Descriptors) =>
   `${height.toFixed(3)} high and ${width.toFixed(3)} wide, with a hull area of ${area.toFixed(3)}`;
@@ -391,7 +394,7 @@ function numbers(found: Descriptors, mu: number): HTMLElement[] {
   const outline = make(
     "details",
     { class: "lab-outline" },
-    make("summary", {}, "outline: how far the hull reaches, from the ground below its middle"),
+    make("summary", {}, "Outline: how far the hull reaches from the ground below its middle"),
     make("p", {}, supports.join(", ")),
   );
   const terms = rows.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]);

@@ -31,7 +31,7 @@ export interface Slider {
 /** A labelled slider; `say` puts its value in words, for the eye and for a screen reader. */
 export function slider(
   text: string,
-  [least, most, step]: [number, number, number],
+  [least, most, step]: readonly [number, number, number],
   start: number,
   say: (value: number) => string,
   changed: (value: number) => void,
@@ -75,7 +75,7 @@ export function choice(text: string, options: [string, string][], changed: (valu
   );
   select.addEventListener("change", () => changed(select.value));
   return {
-    row: make("div", { class: "lab-choice" }, make("label", {}, `${text} `, select)),
+    row: make("div", { class: "lab-choice" }, make("label", {}, make("span", {}, text), select)),
     get value() {
       return select.value;
     },

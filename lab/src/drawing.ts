@@ -46,10 +46,14 @@ export class Drawing {
         button("Undo", () => this.undo()),
         button("Clear", () => this.set(new Float64Array(FRAME * FRAME))),
         button("Mirror", () => this.edit(() => this.mirror())),
-        shift("←", "Shift left", 0, -1),
-        shift("→", "Shift right", 0, 1),
-        shift("↑", "Shift up", -1, 0),
-        shift("↓", "Shift down", 1, 0),
+        make(
+          "span",
+          { class: "lab-shifts" },
+          shift("←", "Shift left", 0, -1),
+          shift("→", "Shift right", 0, 1),
+          shift("↑", "Shift up", -1, 0),
+          shift("↓", "Shift down", 1, 0),
+        ),
       ),
     );
     this.listen();
@@ -134,6 +138,7 @@ export class Drawing {
       return [pixel(event.clientY - box.top, box.height), pixel(event.clientX - box.left, box.width)];
     };
     canvas.addEventListener("pointerdown", (event) => {
+      if (event.button) return;
       canvas.setPointerCapture(event.pointerId);
       this.last = this.cursor = place(event);
       this.edit(() => this.paint(this.cursor));

@@ -93,12 +93,11 @@ function mount(root: HTMLElement): void {
   }
   const bench = new Bench(solver, small);
   root.append(bench.element);
-  bench.open();
-  if (small) return;
-  if (typeof WebAssembly === "undefined") {
+  if (!small && typeof WebAssembly === "undefined") {
     mountStored(root, `This browser has no WebAssembly, with which structures are drawn for what you ask. ${stored}`);
-  } else root.append(new AskPanel(bench, network, solver).element);
-  window.addEventListener("hashchange", () => bench.open());
+  } else if (!small) root.append(new AskPanel(bench, network, solver).element);
+  bench.open();
+  if (!small) window.addEventListener("hashchange", () => bench.open());
 }
 
 function start(): void {

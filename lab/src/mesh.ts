@@ -100,6 +100,23 @@ function cavityEdges(label: Image, size: number): number[] {
   return edges;
 }
 
+/** Lines around the void, from edge to edge between wall and void; closed ones, or from the ground to the ground. */
+export function cavityLines({ pressureEdges }: Mesh): number[][] {
+  const ways = new Map<number, number[]>();
+  const entered = new Set<number>();
+  for (let k = 0; k < pressureEdges.length; k += 2) {
+    ways.set(pressureEdges[k], [...(ways.get(pressureEdges[k]) ?? []), pressureEdges[k + 1]]);
+    entered.add(pressureEdges[k + 1]);
+  }
+  const starts = [...ways.keys()];
+  starts.sort((a, b) => Number(entered.has(a)) - Number(entered.has(b))); // those on the ground first
+  return starts.flatMap((start) => {
+    const line: number[] = [];
+    for (let at: number | undefined = start; at !== undefined; at = ways.get(at)?.pop()) line.push(at);
+    return line.length > 1 ? [line] : [];
+  });
+}
+
 /** (k, 2) edges that belong to one quadrilateral only, the smaller node first, in increasing order. */
 export function boundaryEdges(cells: Int32Array): Int32Array {
   const seen = new Map<number, number>();

@@ -1,10 +1,11 @@
-/** What a reader takes along: the structure in a link, in a file, as an outline in millimetres. */
+/** What a reader saves and shares: all that the page shows in a link or a file, the structure as picture and outline. */
 
-import type { Targets } from "./descriptors.ts";
+import { type DescriptorName, NAMES, type Targets } from "./descriptors.ts";
 import { ELEMENTS, type Element } from "./equilibrium.ts";
 import { LAMBDA, MU, PRESSURE } from "./inflation.ts";
 import { EDGES, type Edge, FRAME, type Image, THICKNESS, WALL } from "./labels.ts";
 import { boundaryLoops, buildMesh } from "./mesh.ts";
+import { checkTargets, targetToText, textToTarget } from "./targets.ts";
 import { Refusal } from "./words.ts";
 
 export const FORMAT = "inflate-lab 1";
@@ -29,66 +30,105 @@ export const DEFAULTS: Settings = {
   element: "mean-dilatation",
 };
 
-/** The part of an address behind #: the pixels as bits in base64, and the settings that are not the usual ones. */
-export function toFragment(image: Image, settings: Settings): string {
-  const bits = new Uint8Array(image.length / 8);
-  image.forEach((value, k) => {
-    if (value) bits[k >> 3] |= 1 << (k & 7);
-  });
-  const text = btoa(String.fromCharCode(...bits))
-    .replace(/\+/g, "-")
-    .replace(/\//g, "_")
-    .replace(/=/g, "");
-  const told = new URLSearchParams({ [KEY]: text });
+/** Least and most of each number among the settings, and the step of its slider. */
+export const RANGES = {
+  pressure: [0, 0.03, 0.0005],
+  lambda: [1, 40, 0.01],
+  mu: [0.05, 0.5, 0.0001],
+  wall: [1, 4, 1],
+} as const;
+export type NumberName = keyof typeof RANGES;
+
+/** All that a link and a file restore. */
+export interface State {
+  image: Image; // the cavity as it is drawn: 28 · 28 times 0 or 1
+  settings: Settings;
+  targets: Targets; // empty where nothing is asked for
+}
+
+/** The part of an address behind #: the pixels as bits in base64, settings that are not the usual ones, and targets. */
+export function toFragment({ image, settings, targets }: State): string {
+  const told = new URLSearchParams({ [KEY]: packed(image) });
   for (const [name, value] of Object.entries(settings)) {
     if (value !== DEFAULTS[name as keyof Settings]) told.set(name, String(value));
   }
+  for (const [name, target] of Object.entries(targets)) told.set(name, targetToText(name as DescriptorName, target));
   return `#${told}`;
 }
 
 /** What a link says; null where it says nothing about a structure. Throws a Refusal where it is malformed. */
-export function fromFragment(fragment: string): { image: Image; settings: Settings } | null {
-  const told = new URLSearchParams(fragment.replace(/^#/, ""));
-  const text = told.get(KEY);
-  if (text === null) return null;
+export function fromFragment(fragment: string): State | null {
+  const { [KEY]: drawing, ...others } = Object.fromEntries(new URLSearchParams(fragment.replace(/^#/, "")));
+  if (drawing === undefined) return null;
+  const problem = "the link is malformed";
+  const image = unpacked(drawing);
+  if (!image) throw new Refusal(`${problem}: it holds no drawing of 28 by 28 pixels`);
+  const targets: Targets = {};
+  for (const name of NAMES) {
+    if (name in others) targets[name] = textToTarget(name, others[name]);
+    delete others[name];
+  }
+  return { image, settings: readSettings(others, problem), targets: readTargets(targets, problem) };
+}
+
+/** A drawing as text: its bits in base64, with the letters that an address may hold. */
+function packed(image: Image): string {
+  const bits = new Uint8Array(image.length / 8);
+  image.forEach((value, k) => {
+    if (value) bits[k >> 3] |= 1 << (k & 7);
+  });
+  return btoa(String.fromCharCode(...bits))
+    .replace(/\+/g, "-")
+    .replace(/\//g, "_")
+    .replace(/=/g, "");
+}
+
+/** The drawing of such a text, null where there is none. */
+export function unpacked(text: string): Image | null {
   let bits = "";
   try {
     bits = atob(text.replace(/-/g, "+").replace(/_/g, "/"));
   } catch {
-    bits = "";
+    return null;
   }
-  if (bits.length !== (FRAME * FRAME) / 8)
-    throw new Refusal("the link is malformed: it holds no drawing of 28 by 28 pixels");
-  const image = Float64Array.from({ length: FRAME * FRAME }, (_, k) => (bits.charCodeAt(k >> 3) >> (k & 7)) & 1);
-  told.delete(KEY);
-  return { image, settings: readSettings(Object.fromEntries(told), "the link is malformed") };
+  if (bits.length !== (FRAME * FRAME) / 8) return null;
+  return Float64Array.from({ length: FRAME * FRAME }, (_, k) => (bits.charCodeAt(k >> 3) >> (k & 7)) & 1);
 }
 
 function readSettings(told: Record<string, unknown>, problem: string): Settings {
   const settings: Settings = { ...DEFAULTS };
-  const wrong = (name: string) => new Refusal(`${problem}: ${name} is ${JSON.stringify(told[name])}`);
   for (const [name, value] of Object.entries(told)) {
-    if (name === "clamped" && EDGES.includes(value as Edge)) settings.clamped = value as Edge;
+    const range = Object.hasOwn(RANGES, name) ? RANGES[name as NumberName] : null;
+    const number = typeof value === "number" || (typeof value === "string" && value) ? Number(value) : Number.NaN;
+    if (range) {
+      const fits = number >= range[0] && number <= range[1] && (name !== "wall" || Number.isInteger(number));
+      if (!fits) throw new Refusal(`${problem}: ${name} must be from ${range[0]} to ${range[1]}, not ${value}`);
+      settings[name as NumberName] = number;
+    } else if (name === "clamped" && EDGES.includes(value as Edge)) settings.clamped = value as Edge;
     else if (name === "element" && ELEMENTS.includes(value as Element)) settings.element = value as Element;
-    else if (name === "pressure" || name === "lambda" || name === "mu" || name === "wall") {
-      const number = Number(value);
-      const least = name === "wall" ? 1 : 0;
-      if (value === "" || !(number >= least && number <= 100) || (name === "wall" && number % 1)) throw wrong(name);
-      settings[name] = number;
-    } else throw wrong(name);
+    else throw new Refusal(`${problem}: ${name} is ${JSON.stringify(value)}`);
   }
   return settings;
 }
 
-/** The structure as JSON, which `inflate design --from` continues. */
-export function toJson(image: Image, settings: Settings, targets: Targets): string {
+function readTargets(told: Targets, problem: string): Targets {
+  if (!Object.keys(told).length) return {};
+  try {
+    return checkTargets(told);
+  } catch (error) {
+    throw new Refusal(`${problem}: ${(error as Error).message}`);
+  }
+}
+
+/** All of it as JSON, which `inflate design --from` continues. */
+export function toJson({ image, settings, targets }: State): string {
   const rows = Array.from({ length: FRAME }, (_, i) => Array.from(image.subarray(i * FRAME, (i + 1) * FRAME)).join(""));
   return `${JSON.stringify({ format: FORMAT, image: rows, settings, targets }, null, 1)}\n`;
 }
 
 /** What a file says. Throws a Refusal where it is none of ours. */
-export function fromJson(text: string): { image: Image; settings: Settings } {
-  let told: { format?: unknown; image?: unknown; settings?: unknown };
+export function fromJson(text: string): State {
+  let told: { format?: unknown; image?: unknown; settings?: unknown; targets?: unknown };
   try {
     told = JSON.parse(text);
   } catch {
@@ -98,8 +138,17 @@ export function fromJson(text: string): { image: Image; settings: Settings } {
   const rows = told.image;
   const fits = Array.isArray(rows) && rows.length === FRAME && rows.every((row) => /^[01]{28}$/.test(String(row)));
   if (!fits) throw new Refusal("the file holds no drawing of 28 rows of 28 digits, 0 or 1");
-  const image = Float64Array.from(rows.join(""), Number);
-  return { image, settings: readSettings({ ...(told.settings ?? {}) }, "the file is malformed") };
+  const problem = "the file is malformed";
+  const object = (name: "settings" | "targets"): Record<string, unknown> => {
+    const value = told[name] ?? {};
+    if (typeof value !== "object" || Array.isArray(value)) throw new Refusal(`${problem}: ${name} is no object`);
+    return value as Record<string, unknown>;
+  };
+  return {
+    image: Float64Array.from(rows.join(""), Number),
+    settings: readSettings(object("settings"), problem),
+    targets: readTargets(object("targets") as Targets, problem),
+  };
 }
 
 /** The wall of a label image as one path, in millimetres. */

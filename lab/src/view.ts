@@ -1,6 +1,7 @@
 /** Pictures of a structure: its elements in colours of stretch or stress, what is wrong with it, and what was asked for. */
 
 import { make } from "./dom.ts";
+import { cavityLines } from "./mesh.ts";
 import type { Simulation } from "./simulate.ts";
 
 export type Quantity = "stretch" | "vonMises";
@@ -8,6 +9,8 @@ export const QUANTITIES: Record<Quantity, { words: string; rest: number }> = {
   vonMises: { words: "von Mises stress σ/μ", rest: 0 },
   stretch: { words: "largest stretch", rest: 1 },
 };
+
+const MESH = 400; // canvas pixels of a picture that shows the lines of the mesh
 
 // Viridis, at even distances.
 const RAMP = [
@@ -66,13 +69,22 @@ export function draw(canvas: HTMLCanvasElement, simulation: Simulation, step: nu
     (x[2 * node] - left) * scale,
     size - (x[2 * node + 1] - box.bottom + margin) * scale,
   ];
-  const { cells, clamped } = simulation.result.mesh;
+  const { mesh } = simulation.result;
+  const { cells, clamped } = mesh;
+  context.fillStyle = "#dce9f2"; // the void, as in the figures of the book
+  context.beginPath();
+  for (const [first, ...others] of cavityLines(mesh)) {
+    context.moveTo(...at(first));
+    for (const node of others) context.lineTo(...at(node));
+  }
+  context.fill();
   const values = simulation[quantity][step];
   const { rest } = QUANTITIES[quantity];
   const most = largest(simulation, quantity);
   context.lineJoin = "round";
   for (let e = 0; e < values.length; e++) {
     context.fillStyle = context.strokeStyle = colour((values[e] - rest) / (most - rest));
+    if (size >= MESH) context.strokeStyle = "rgb(255 255 255 / 60%)";
     context.beginPath();
     for (let a = 0; a < 4; a++) context.lineTo(...at(cells[4 * e + a]));
     context.closePath();

@@ -2,10 +2,10 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { checkTargets } from "../src/ask.ts";
 import { fromHalf, told } from "../src/model.ts";
 import { checkReach } from "../src/reach.ts";
 import { cosineSchedule, denoise, normals, timesteps } from "../src/sampling.ts";
+import { checkTargets } from "../src/targets.ts";
 
 test("the cosine schedule goes from all signal to none", () => {
   const alphaBars = cosineSchedule(1000);

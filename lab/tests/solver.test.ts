@@ -10,7 +10,7 @@ import { describe, describeNodes, deviation, gradient, largestMiss, outlineGradi
 import { blockNumber, eliminate, factorise, solve } from "../src/factor.ts";
 import { deformed, inflate } from "../src/inflation.ts";
 import { FRAME, labelImage, labelled, pointJoints, turned, VOID, WALL } from "../src/labels.ts";
-import { boundaryLoops, buildMesh } from "../src/mesh.ts";
+import { boundaryLoops, buildMesh, cavityLines } from "../src/mesh.ts";
 import { convexHull, medialAxis, outlineCorners, polygonArea, supportFunction } from "../src/shape.ts";
 import { general } from "../src/words.ts";
 
@@ -168,6 +168,15 @@ test("what lies within the loops is wall and void", () => {
       .reduce((sum, value) => sum + value, 0);
     assert.ok(Math.abs(area * FRAME ** 2 - label.filter((value) => value === WALL).length) < 1e-9);
   }
+});
+
+test("the lines around the void enclose as much as it has pixels", () => {
+  const label = labelImage(bytes(reference.cases[0].image));
+  const mesh = buildMesh(label);
+  const areas = cavityLines(mesh).map((line) =>
+    polygonArea(line.map((i) => [mesh.nodes[2 * i], mesh.nodes[2 * i + 1]])),
+  );
+  near([areas.reduce((a, b) => a + b)], [label.filter((value) => value === VOID).length / FRAME ** 2], 1e-12, "area");
 });
 
 test("joints of one node are found where they are", () => {

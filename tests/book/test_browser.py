@@ -329,11 +329,11 @@ def test_the_laboratory_is_ready_soon_on_a_narrow_screen(browser, name):
         page.locator(".lab-drawing").scroll_into_view_if_needed()
         box = page.locator(".lab-drawing").bounding_box()
         page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.8 * box["height"])
-        before = page.locator(".lab-numbers dd").first.inner_text()
+        before = page.locator(".lab-bench .lab-status").inner_text()
         page.mouse.down()
         page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 0.3 * box["height"], steps=5)
         page.mouse.up()
-        page.wait_for_function("(dd) => document.querySelector('.lab-numbers dd')?.textContent !== dd", arg=before)
+        page.wait_for_function("(said) => document.querySelector('.lab-status').textContent !== said", arg=before)
 
 
 def test_the_laboratory_draws_and_its_page_is_small(browser):
@@ -377,6 +377,9 @@ def test_the_forward_slider_moves_from_image_to_noise(desktop):
 
 def test_without_scripts_there_is_still_a_picture(browser):
     with Reader(browser, java_script_enabled=False) as reader:
+        reader.page.goto((HTML / "laboratory.html").as_uri())
+        assert "runs no scripts" in reader.page.locator("article noscript").inner_text()
+        assert reader.page.locator("article noscript img").evaluate("(i) => i.naturalWidth") > 500
         reader.page.goto((HTML / "notebooks" / "22_explorer.html").as_uri())
         assert "runs no scripts" in reader.page.locator("article noscript").first.inner_text()
         assert reader.page.locator("#fig-explorer-sheet img").is_visible()

@@ -71,12 +71,14 @@ def test_what_depends_on_the_run_comes_from_its_own_profile(home):
         folder = paths.FIGURES / profile
         folder.mkdir(parents=True)
         (folder / "glance.png").write_text("")
+        (folder / "explorer_sheet.png").write_text("")
         (folder / "explorer_data.js").write_text("")
     executed("22_explorer", "laptop", "mnist", glance_n=24, glance_error_percent=1.26)
     config = SimpleNamespace(html_theme_options={}, myst_substitutions={}, html_static_path=["_static"])
     sphinx_ext._configure(None, config)
     assert "../figures/laptop/glance.png" in config.myst_substitutions["hero"]
     assert ":alt:" in config.myst_substitutions["hero"]
+    assert "../figures/laptop/explorer_sheet.png" in config.myst_substitutions["explorer_sheet"]
     assert "24 structures were drawn for this height; their median error is 1.3 %." in config.myst_substitutions["hero"]
     explorers = [path for path in config.html_static_path if "explorer" in path]
     assert explorers == [str(paths.FIGURES / "laptop" / "explorer_data.js")]

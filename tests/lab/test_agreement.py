@@ -8,14 +8,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from inflate_lib import load_model, load_sevens
-from inflate_lib.inverse.drawn import continue_drawn
+from inflate_lib import inverse, label_image, load_model, load_sevens
+from inflate_lib.inverse.drawn import continue_drawn, read_drawn
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "helpers"))
 import laboratory
 from laboratory import N_STRUCTURES, drawn_apart, inflated_apart, opened, pictures
 
 pytestmark = pytest.mark.slow
+#: Other numbers are shown than those given.
+NEW = """(before) => {
+  const dd = [...document.querySelectorAll(".lab-numbers dd")].map((one) => one.textContent);
+  return dd.length && dd.join() !== before.join();
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +55,35 @@ def start_from(page, name):
     page.get_by_label("Start from").select_option(label=name)
     wait_for(page, "can be built")
     return page.locator(".lab-numbers dd").all_text_contents()
+
+
+def set_slider(slider, value):
+    slider.evaluate("(s, value) => { s.value = value; s.dispatchEvent(new Event('input', { bubbles: true })); }", value)
+
+
+def open_file(page, content, name="file.json"):
+    told = content if isinstance(content, bytes) else json.dumps(content).encode()
+    page.locator("input[type=file]").set_input_files({"name": name, "mimeType": "", "buffer": told})
+
+
+def drawing(cavity, **others):
+    """A cavity (28, 28) as a file of the laboratory."""
+    rows = ["".join(map(str, line)) for line in np.asarray(cavity).astype(int)]
+    return {"format": "inflate-lab 1", "image": rows, **others}
+
+
+def has_colour(page, selector, rgb):
+    """Whether a canvas shows pixels of this very colour."""
+    return page.locator(selector).evaluate(
+        """(canvas, rgb) => {
+          const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+          copy.drawImage(canvas, 0, 0);
+          const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+          for (let k = 0; k < data.length; k += 4) if (rgb.every((value, c) => data[k + c] === value)) return true;
+          return false;
+        }""",
+        rgb,
+    )
 
 
 def test_two_hundred_structures_inflate_alike(page):
@@ -101,20 +135,63 @@ def test_structures_are_asked_for_ranked_and_refined(page):
     misses = [float(text.split("misses by ")[1].split(" %")[0]) for text in captions if "misses by" in text]
     assert misses
     assert misses == sorted(misses)
-    panel.get_by_role("button", name="Take it to the drawing").first.click()
+    panel.get_by_role("button", name="Edit this one").first.click()
     panel.get_by_role("button", name="Refine the drawing").click()
     refined = wait_for(page, "^After", ".lab-ask")
     assert float(refined.split("miss is ")[1].split(" %")[0]) <= misses[0] + 0.05
+    assert ("Pixels that were changed: row" in refined) == has_colour(page, ".lab-drawing", [230, 159, 0])
     assert page.complaints == []
+
+
+def test_noise_turns_into_structures_before_the_readers_eyes(page):
+    """Every state of the way is painted, several structures at a time, and stays for frames of the screen."""
+    page.emulate_media(reduced_motion="no-preference")
+    page.evaluate(
+        """() => {
+          window.seen = [];
+          const look = () => {
+            const film = [...document.querySelectorAll(".lab-gallery canvas")].filter((c) => c.width === 28);
+            const state = film.map((c) => c.toDataURL()).join(" ");
+            if (film.length === 3 && state !== window.seen.at(-1)) window.seen.push(state);
+            if (window.seen) requestAnimationFrame(look);
+          };
+          requestAnimationFrame(look);
+        }"""
+    )
+    panel = page.locator(".lab-ask")
+    set_slider(panel.get_by_label("Structures"), 3)
+    panel.get_by_role("button", name="Draw structures").click()
+    wait_for(page, "misses by|can be built", ".lab-ask")
+    seen = page.evaluate("() => { const { seen } = window; delete window.seen; return seen; }")
+    page.emulate_media(reduced_motion="reduce")
+    steps = int(panel.get_by_label("Steps").input_value())
+    assert len(set(seen)) >= min(steps, 5)
+    set_slider(panel.get_by_label("Structures"), 4)
 
 
 def test_a_second_click_stops_what_is_computed(page):
     panel = page.locator(".lab-ask")
-    panel.get_by_role("button", name="Draw structures").click()
-    panel.get_by_role("button", name="Stop").click()
+    draw = panel.get_by_role("button", name="Draw structures")
+    draw.evaluate("(button) => { button.click(); button.click(); }")
     wait_for(page, "^Stopped", ".lab-ask")
-    panel.get_by_role("button", name="Draw structures").click()
+    draw.click()
     wait_for(page, "misses by|can be built", ".lab-ask")
+    height = float(start_from(page, "a seven (2)")[0])
+    panel.get_by_label("Height: value").fill(str(0.93 * height))
+    panel.evaluate(
+        """(panel) => {
+          const [draw, refine] = panel.querySelectorAll(".lab-buttons button");
+          const status = panel.querySelector(".lab-status");
+          new MutationObserver((_, observer) => {
+            if (!status.textContent.startsWith("Try")) return;
+            observer.disconnect();
+            draw.click();
+          }).observe(status, { childList: true });
+          refine.click();
+        }"""
+    )
+    wait_for(page, "^Stopped", ".lab-ask")
+    wait_for(page, "can be built")
     assert page.complaints == []
 
 
@@ -136,15 +213,66 @@ def test_the_keyboard_draws(page):
     assert page.locator(".lab-draw [role=status]").text_content() == "Row 23, column 15: drawn"
 
 
-def test_a_link_opens_the_same_structure(page):
-    before = start_from(page, "a drawn structure (1)")
+def shown(page):
+    """All that a link and a file restore, as the page would save it now, and what it inflates to."""
+    with page.expect_download() as download:
+        page.get_by_role("button", name="JSON").click()
+    content = Path(download.value.path()).read_text()
+    return json.loads(content), page.locator(".lab-numbers dd").all_text_contents()
+
+
+def ask_for_everything(page):
+    """Each field of the targets, a line dragged and a line drawn among them, and another pressure."""
+    panel = page.locator(".lab-ask")
+    page.locator(".lab-settings summary").click()
+    set_slider(page.get_by_label("Pressure"), 0.008)
+    page.locator(".lab-settings summary").click()
+    pads = panel.locator(".lab-pad")
+    pads.nth(0).scroll_into_view_if_needed()
+    drawn, dragged = [(0.3, 0.9), (0.7, 0.9), (0.75, 0.4), (0.5, 0.3), (0.3, 0.4)], [(0.5, 0.6), (0.55, 0.6)]
+    for pad, line in ((1, drawn), (0, dragged)):
+        box = pads.nth(pad).bounding_box()
+        places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in line]
+        page.mouse.move(*places[0])
+        page.mouse.down()
+        for place in places[1:]:
+            page.mouse.move(*place, steps=3)
+        page.mouse.up()
+    for name, value in (("Height", "1.03"), ("Stress σ/μ", "1.25"), ("Stretch", "1.4")):
+        panel.get_by_label(f"{name}: value").fill(value)
+
+
+def test_a_link_and_a_file_restore_drawing_settings_and_targets(page, tmp_path):
+    start_from(page, "a drawn structure (1)")
+    ask_for_everything(page)
+    wait_for(page, "can be built")
+    before = content, numbers = shown(page)
+    assert {*content["targets"]} == {"height", "stress", "stretch", "axis", "outline"}
+    assert content["targets"]["axis"][15][0] > 0.02
+    assert content["settings"]["pressure"] == 0.008
     page.get_by_role("button", name="Link").click()
     address = page.evaluate("location.hash")
     page.evaluate("location.hash = '#lab=broken'")
-    wait_for(page, "malformed")
-    page.evaluate("(hash) => { location.hash = hash; }", address)
-    page.wait_for_function("(dd) => document.querySelector('.lab-numbers dd')?.textContent === dd", arg=before[0])
-    assert page.locator(".lab-numbers dd").all_text_contents() == before
+    assert "malformed" in wait_for(page, "malformed")
+    page.evaluate("location.hash = ''")
+    page.reload()
+    page.wait_for_function(laboratory.READY)
+    assert shown(page)[0]["targets"] == {}, "nothing has been asked for"
+    for restore in (
+        lambda: page.evaluate("(hash) => { location.hash = hash; }", address),
+        lambda: open_file(page, content),
+    ):
+        page.get_by_role("button", name="Clear").click()
+        wait_for(page, "blank")
+        restore()
+        page.wait_for_function("(dd) => document.querySelector('.lab-numbers dd')?.textContent === dd", arg=numbers[0])
+        assert shown(page) == before
+    content["settings"] = {}
+    (tmp_path / "structure.json").write_text(json.dumps(content))
+    _, targets = read_drawn(tmp_path / "structure.json")
+    for name, value in content["targets"].items():
+        np.testing.assert_allclose(targets.as_dict()[name], value, atol=1e-12)
+    page.evaluate("location.hash = ''")
 
 
 @pytest.mark.parametrize(
@@ -153,13 +281,85 @@ def test_a_link_opens_the_same_structure(page):
         ("a.json", b"{", "The file is no JSON."),
         ("a.json", b'{"format": "other"}', "none of the laboratory's"),
         ("a.json", b'{"format": "inflate-lab 1", "image": ["01"]}', "28 rows of 28 digits"),
+        ("a.json", drawing(np.zeros((28, 28)), targets={"height": -1}), "height must be a positive number"),
+        ("a.json", drawing(np.zeros((28, 28)), settings={"pressure": 9}), "pressure must be from 0"),
         ("a.png", b"no picture", "no picture that this browser can read"),
     ],
 )
 def test_what_is_no_structure_is_refused_with_a_sentence(page, name, content, said):
-    page.locator("input[type=file]").set_input_files({"name": name, "mimeType": "", "buffer": content})
+    open_file(page, content, name)
     wait_for(page, said)
     assert page.complaints == []
+
+
+@pytest.mark.parametrize(
+    ("number", "words", "colour"),
+    [(110, "single node", [213, 94, 0]), (45, "Walls cross", [204, 0, 102])],
+)
+def test_a_flaw_is_marked_and_said(page, number, words, colour):
+    """A circle around a joint of one node; the edges of walls that cross."""
+    open_file(page, drawing(label_image(pictures()[number]) == 1))
+    assert "It cannot be built." in wait_for(page, words)
+    assert has_colour(page, "figure:nth-child(2) .lab-view", colour)
+
+
+def test_settings_change_what_comes_out(page):
+    before = start_from(page, "a seven (2)")
+    page.locator(".lab-settings summary").click()
+    for name, value in (("Pressure", 0.02), ("Lamé λ", 3), ("Lamé μ", 0.3), ("Wall (pixels)", 3)):
+        set_slider(page.get_by_label(name), value)
+        page.wait_for_function(NEW, arg=before)
+        before = page.locator(".lab-numbers dd").all_text_contents()
+    for name, value in (("Clamped edge", "left"), ("Element", "q1")):
+        page.get_by_label(name).select_option(value)
+        page.wait_for_function(NEW, arg=before)
+        before = page.locator(".lab-numbers dd").all_text_contents()
+    page.get_by_role("button", name="The paper's values").click()
+    page.wait_for_function(NEW, arg=before)
+    assert shown(page)[0]["settings"] == inverse.drawn._SETTINGS
+    page.locator(".lab-settings summary").click()
+
+
+def test_load_steps_are_played_and_moved(page):
+    start_from(page, "a seven (2)")
+    step = page.get_by_role("slider", name="Load step")
+    page.emulate_media(reduced_motion="no-preference")
+    page.get_by_role("button", name="Inflate").click()
+    page.get_by_role("button", name="Stop").click()
+    page.emulate_media(reduced_motion="reduce")
+    assert int(step.input_value()) < 10
+    for number in (0, 4):
+        set_slider(step, number)
+        assert f"load step {number} of 10" in page.locator(".lab-view").nth(1).get_attribute("aria-label")
+    page.get_by_role("button", name="Inflate").press("Enter")  # with reduced motion, at once
+    assert step.input_value() == "10"
+
+
+def test_an_outline_is_made_with_the_keyboard_and_refused_with_what_can_be_reached(page):
+    outline = page.get_by_role("group", name="Outline")
+    outline.locator("summary").press("Enter")
+    outline.get_by_label("Height").press("Home")
+    outline.get_by_label("Width").press("End")
+    assert wait_for(page, "1.350 wide", ".lab-ask").startswith("The outline is 0.500 high")
+    page.locator(".lab-ask").get_by_role("button", name="Draw structures").press("Enter")
+    assert "nearest reachable target" in wait_for(page, "cannot be reached", ".lab-ask")
+    outline.get_by_role("checkbox").uncheck()
+    outline.locator("summary").press("Enter")
+
+
+def test_a_picture_that_is_dropped_is_drawn(page):
+    page.get_by_role("button", name="Clear").click()
+    wait_for(page, "blank")
+    page.locator(".lab-drawing").evaluate(
+        """async (target) => {
+          const picture = new OffscreenCanvas(90, 90), pen = picture.getContext("2d");
+          pen.fillStyle = "#fff"; pen.fillRect(0, 0, 90, 90); pen.fillStyle = "#000"; pen.fillRect(40, 20, 9, 50);
+          const files = new DataTransfer();
+          files.items.add(new File([await picture.convertToBlob()], "a.png", { type: "image/png" }));
+          target.dispatchEvent(new DragEvent("drop", { dataTransfer: files, bubbles: true, cancelable: true }));
+        }"""
+    )
+    assert "can be built" in wait_for(page, "Inflated it is")
 
 
 @pytest.mark.parametrize("size", [(300, 200), (5, 28), (1000, 1000)])
@@ -188,25 +388,17 @@ def test_a_page_in_the_background_computes(page):
 
 def test_a_ring_is_filled_and_says_so(page):
     row, column = np.mgrid[:28, :28]
-    ring = abs(np.hypot(row - 14, column - 14) - 7) < 2
-    content = {"format": "inflate-lab 1", "image": ["".join(map(str, line)) for line in ring.astype(int)]}
-    page.locator("input[type=file]").set_input_files(
-        {"name": "ring.json", "mimeType": "", "buffer": json.dumps(content).encode()}
-    )
+    open_file(page, drawing(abs(np.hypot(row - 14, column - 14) - 7) < 2))
     assert "hole" in wait_for(page, "filled")
 
 
-def test_a_saved_structure_opens_again(page, tmp_path):
-    before = start_from(page, "a seven (2)")
-    with page.expect_download() as download:
-        page.get_by_role("button", name="JSON").click()
-    download.value.save_as(tmp_path / "structure.json")
-    continue_drawn(tmp_path / "structure.json", refine=0)
-    page.get_by_role("button", name="Clear").click()
-    wait_for(page, "blank")
-    page.locator("input[type=file]").set_input_files(tmp_path / "structure.json")
-    wait_for(page, "can be built")
-    assert page.locator(".lab-numbers dd").all_text_contents() == before
+def test_a_saved_drawing_is_carried_on_as_a_design(page, tmp_path):
+    start_from(page, "a seven (2)")
+    page.get_by_label("Height: value").fill("1.0")
+    content, (height, *_) = shown(page)
+    (tmp_path / "structure.json").write_text(json.dumps({**content, "targets": {"height": 1.0}}))
+    found = continue_drawn(tmp_path / "structure.json", refine=0)
+    assert f"{found.designs[0].shape.height:.3f}" == height
 
 
 def test_it_costs_little(page, model):
