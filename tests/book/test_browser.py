@@ -44,15 +44,19 @@ class Reader:
     """A window of the browser that notes what a page complains about and what it asks for."""
 
     def __init__(self, browser, width="desktop", theme="light", **options):
-        size = dict(zip(("width", "height"), WIDTHS[width], strict=True))
-        self.context = browser.new_context(viewport=size, color_scheme=theme, offline=True, **options)
+        self.context = browser.new_context(offline=True, **options)
         self.context.set_default_timeout(60_000)
         self.page = self.context.new_page()
+        self.resize(width, theme)
         self.complaints, self.requests = [], []
         self.page.on("console", lambda m: self.complaints.append(m.text) if m.type in ("error", "warning") else None)
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))
         self.page.on("requestfailed", lambda request: self.complaints.append(f"failed: {request.url}"))
+
+    def resize(self, width, theme):
+        self.page.set_viewport_size(dict(zip(("width", "height"), WIDTHS[width], strict=True)))
+        self.page.emulate_media(color_scheme=theme)
 
     def open(self, name):
         self.page.goto("about:blank")  # what the page before breaks off is no complaint of the next one
@@ -72,12 +76,6 @@ class Reader:
 @pytest.fixture(scope="module")
 def desktop(browser):
     with Reader(browser) as reader:
-        yield reader
-
-
-@pytest.fixture(scope="module")
-def phone_at_night(browser):
-    with Reader(browser, "phone", "dark") as reader:
         yield reader
 
 
@@ -124,16 +122,23 @@ def test_a_page_fits_on_paper(desktop, one):
     page.set_viewport_size({"width": 672, "height": 900})
     sticking_out = too_wide(page)
     page.emulate_media(media="screen")
-    page.set_viewport_size(dict(zip(("width", "height"), WIDTHS["desktop"], strict=True)))
+    desktop.resize("desktop", "light")
     assert sticking_out == []
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_on_a_phone_at_night(phone_at_night, name):
-    page = phone_at_night.open(name)
-    assert not phone_at_night.complaints
+@pytest.fixture
+def phone_at_night(desktop, one):
+    """The page that is open, on a screen that turns small and dark."""
+    desktop.resize("phone", "dark")
+    yield desktop.page
+    desktop.resize("desktop", "light")
+
+
+def test_a_page_on_a_phone_at_night(desktop, phone_at_night):
+    page = phone_at_night
+    page.wait_for_function("document.documentElement.dataset.theme === 'dark'")
+    assert not desktop.complaints
     assert too_wide(page) == []
-    assert page.evaluate("document.documentElement.dataset.theme") == "dark"
     luminance = page.evaluate(
         """() => ["color", "backgroundColor"].map((what) => {
           const here = what === "color" ? document.querySelector("article p, article h1, body") : document.body;

@@ -14,7 +14,7 @@ from inflate_lib.diffusion.sampling import guided
 SMALL = TrainingConfig(
     channels=(8, 16), embedding=16, hidden=16, objective="v", batch_size=16, learning_rate=5e-3, steps=150, T=50
 )
-TOLD = replace(SMALL, strongest=4.0, distillation_steps=500)
+TOLD = replace(SMALL, strongest=4.0, distillation_steps=400)
 SHORT = replace(TOLD, distillation_steps=24)
 
 
@@ -128,11 +128,11 @@ def mean_miss(model, steps=5):
 def test_a_tuned_student_comes_nearer_to_its_targets(teacher, student):
     """Also with a number of steps that it was not tuned for."""
     before = student.fingerprint
-    tuned = tune(student, teacher, miss, *bars(), steps=200, weight=0.1, progress=False)
+    tuned = tune(student, teacher, miss, *bars(), steps=100, weight=0.1, progress=False)
     for steps in (5, 6):
         assert mean_miss(tuned, steps) < 0.7 * mean_miss(student, steps)
     assert student.fingerprint == before and tuned.config == student.config
-    assert tuned.metadata["teacher"] == teacher.fingerprint and tuned.metadata["tuning"]["steps"] == 200
+    assert tuned.metadata["teacher"] == teacher.fingerprint and tuned.metadata["tuning"]["steps"] == 100
 
 
 def test_an_interrupted_tuning_goes_on_where_it_was(teacher, student, tmp_path, monkeypatch):

@@ -13,6 +13,7 @@ import pytest
 import torch
 import xarray as xr
 import yaml
+from joblib import parallel_config
 
 from inflate_lib import paths
 from inflate_lib.datasets.pairs import TrainingSet, held_out
@@ -202,7 +203,8 @@ def test_committed_weights_are_those_of_their_profile_and_still_mean_what_they_m
 
 def test_a_dry_run_projects_the_whole_training(data, tmp_path, monkeypatch):
     monkeypatch.setattr(paths, "CACHE", tmp_path)
-    cost = training_cost(["height", "area"], RECIPE.changed(training={"steps": 5000}), data, steps=6)
+    with parallel_config(backend="threading"):  # processes would take ten seconds to start
+        cost = training_cost(["height", "area"], RECIPE.changed(training={"steps": 5000}), data, steps=6)
     assert cost["descriptor"].tolist() == ["height", "area"] and (cost["steps"] == 5000).all()
     np.testing.assert_allclose(cost["hours"], cost["seconds per step"] * 5000 / 3600)
     np.testing.assert_allclose(cost["images per second"], 8 / cost["seconds per step"])
