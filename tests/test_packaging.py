@@ -1,7 +1,10 @@
 """Things said in two places agree: dependencies, commands, the contents of the book."""
 
+import os
 import re
+import shlex
 import subprocess
+import sys
 import tomllib
 
 import pytest
@@ -104,7 +107,7 @@ def test_versions_agree_everywhere(project, pins):
 
 def test_ci_runs_what_the_readme_says():
     script = read(".ci/run")
-    made = [script.index(step) for step in ("make test", "make reproduce PROFILE=ci", "make book", "-m book\n")]
+    made = [script.index(step) for step in ("make test", "make reproduce PROFILE=ci", "make book", '-m "book or slow"')]
     assert made == sorted(made)
     assert "run: .ci/run" in read(".github/workflows/book.yml")
     assert (paths.ROOT / ".ci" / "run").stat().st_mode & 0o111
@@ -115,6 +118,35 @@ def test_a_release_carries_the_edition_as_a_pdf():
     commands = [step.get("run", "") for step in steps]
     made = next(number for number, command in enumerate(commands) if command.startswith("make pdf PROFILE=laptop"))
     assert "book/_build/pdf/book.pdf" in commands[made + 1] and "gh release upload" in commands[made + 1]
+
+
+@pytest.mark.parametrize("name", ["book", "release"])
+def test_a_workflow_runs_what_is_there(name):
+    """Jobs wait for jobs that exist; their commands can be read by the shell, and name targets and files that exist."""
+    jobs = yaml.safe_load(read(f".github/workflows/{name}.yml"))["jobs"]
+    targets = set(re.findall(r"^([a-z-]+):", read("Makefile"), flags=re.M))
+    for job in jobs.values():
+        needs = job.get("needs", [])
+        assert set([needs] if isinstance(needs, str) else needs) <= set(jobs)
+        for step in job["steps"]:
+            assert ("run" in step) != ("uses" in step), step
+            command = step.get("run", "")
+            assert subprocess.run(["bash", "-n", "-c", command], check=False).returncode == 0, command
+            assert set(re.findall(r"\bmake ([a-z-]+)", command)) <= targets, command
+            for file in re.findall(r"(?<![\w/])(?:\.ci|tests)/[\w./-]+", command):
+                assert (paths.ROOT / file).is_file(), command
+
+
+@pytest.mark.parametrize(("tag", "heading"), [("{}", "{}"), ("{}.1", "{}"), ("{}", "Unreleased")])
+def test_a_release_is_of_the_version_that_its_tag_names(project, tag, heading, tmp_path):
+    (tmp_path / "pyproject.toml").write_text(read("pyproject.toml"), encoding="utf-8")
+    (tmp_path / "CHANGES.md").write_text(f"# Changes\n\n## {heading.format(project['version'])}\n\n## 0.0.1\n")
+    steps = yaml.safe_load(read(".github/workflows/release.yml"))["jobs"]["build"]["steps"]
+    check = next(step["run"] for step in steps if "agree" in step.get("name", ""))
+    environment = os.environ | {"GITHUB_REF_NAME": f"v{tag.format(project['version'])}"}
+    command = ["bash", "-e", "-c", check.replace("python -c", f"{shlex.quote(sys.executable)} -c")]
+    passed = subprocess.run(command, cwd=tmp_path, env=environment, check=False).returncode == 0
+    assert passed == (tag == heading)
 
 
 def test_the_table_of_contents_lists_every_notebook_once():
