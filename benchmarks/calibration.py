@@ -32,7 +32,7 @@ RESAMPLES = 100
 ROUNDING = 0.005  # the paper prints two decimals
 SIZES = ("height", "width", "hull_area")
 COLUMNS = {"height": [0], "width": [1], "box": [0, 1], "area": [2]}
-STEPS = ("structures", "mechanics", "descriptors")  # what sizes depend on
+STEPS = ("structures", "mechanics", "descriptors", "alternatives.stabilised")  # what sizes depend on
 
 
 def simulate(images, setting, n_jobs):

@@ -20,6 +20,7 @@ from stored import store
 
 from inflate_lib import describe, inflate, label_image, load_sevens, paths
 from inflate_lib._cache import cached, code_version, digest
+from inflate_lib.alternatives.stabilised import inflate_with
 from inflate_lib.structures.labels import point_joints
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "helpers"))
@@ -33,7 +34,7 @@ VARIANTS = {
     ("q1", 2): {"element": "q1", "refine": 2},
     ("stabilised", 1): {"element": "stabilised"},
 }
-STEPS = ("structures", "mechanics", "descriptors")
+STEPS = ("structures", "mechanics", "descriptors", "alternatives.stabilised")
 
 
 def measured(result):
@@ -45,7 +46,7 @@ def measured(result):
 
 def sizes_of(label):
     """Element and refinement → height, width and hull area; "truth" is extrapolated."""
-    rows = {f"{element} {n}": measured(inflate(label, 1, **how)) for (element, n), how in VARIANTS.items()}
+    rows = {f"{element} {n}": measured(inflate_with(label, n_steps=1, **how)) for (element, n), how in VARIANTS.items()}
     coarse, fine = (np.array(measured(inflate(graded_mesh(label, layers), 1))) for layers in (1, 2))
     return rows | {"truth 0": (fine + (fine - coarse) / 2).tolist()}
 

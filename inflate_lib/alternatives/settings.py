@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from joblib import Parallel, delayed
 
+from inflate_lib.alternatives.stabilised import ALL_ELEMENTS, inflate_with
 from inflate_lib.descriptors import describe
-from inflate_lib.mechanics.inflation import ELEMENTS, WITH_POTENTIAL, inflate
+from inflate_lib.mechanics.inflation import ELEMENTS
 from inflate_lib.structures.labels import THRESHOLD, label_image
 
 _THRESHOLDS = (THRESHOLD, 0.4, 0.6)
@@ -24,11 +25,11 @@ class _Setting:
 
 #: The calibration study: the default first, then every element, threshold and padding, and finer meshes.
 SETTINGS = (
-    *(_Setting(threshold, pad, element) for element in ELEMENTS for threshold in _THRESHOLDS for pad in (True, False)),
-    *(_Setting(threshold, True, element, 2) for element in WITH_POTENTIAL for threshold in _THRESHOLDS),
-    *(_Setting(pad=False, element=element, refine=2) for element in WITH_POTENTIAL),
+    *(_Setting(level, pad, element) for element in ALL_ELEMENTS for level in _THRESHOLDS for pad in (True, False)),
+    *(_Setting(threshold, True, element, 2) for element in ELEMENTS for threshold in _THRESHOLDS),
+    *(_Setting(pad=False, element=element, refine=2) for element in ELEMENTS),
     _Setting(element="stabilised", refine=2),
-    *(_Setting(element=element, refine=4) for element in WITH_POTENTIAL),
+    *(_Setting(element=element, refine=4) for element in ELEMENTS),
 )
 
 
@@ -44,7 +45,7 @@ def simulate_setting(images, setting, n_jobs=1):
 def _sizes(image, setting):
     try:
         label = label_image(image, threshold=setting.threshold, pad=setting.pad)
-        result = inflate(label, n_steps=1, element=setting.element, refine=setting.refine)
+        result = inflate_with(label, setting.element, n_steps=1, refine=setting.refine)
     except ValueError:
         return [np.nan] * 3
     if not result.converged:

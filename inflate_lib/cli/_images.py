@@ -15,13 +15,14 @@ import numpy as np
 from inflate_lib import mechanics
 from inflate_lib._checks import choice
 from inflate_lib._files import check_outputs, naming
+from inflate_lib.alternatives.stabilised import inflate_with
 from inflate_lib.descriptors import describe
 from inflate_lib.descriptors.registry import basic
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.pictures import PICTURES, in_one_line, read_images, with_ending
 from inflate_lib.io.vtk import vtk_files, write_vtk
 from inflate_lib.mechanics.buildable import find_flaw
-from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, inflate, load_history
+from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, load_history
 from inflate_lib.mechanics.mesh import build_mesh
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.structures.labels import THICKNESS, stages, turns_to_bottom
@@ -181,7 +182,7 @@ def _record(name, file, image, note, options, alone):
         mesh = build_mesh(structure.domains, options.refine, options.clamped)
         parameters = {name: getattr(options, name) for name in ("n_steps", "element", "pressure", "lame")}
         with naming(Path(mechanics.__file__).with_name("__pycache__")):  # where compiled code is kept
-            result = inflate(mesh, contact=options.contact, **parameters)
+            result = inflate_with(mesh, contact=options.contact, **parameters)
         if options.moose is not None:
             case = moose.write_case(mesh, options.moose, name, **parameters)
             written += case

@@ -3,8 +3,8 @@
 The input is the paper's model in MOOSE's total Lagrangian system: ``ComputeNeoHookeanStress`` on
 ``ComputeLagrangianStrain``, ``Pressure`` on the displaced mesh, plane strain, load steps in time from 0 to 1. MOOSE
 stops at our times whatever it does in between: ``TimeSequenceStepper`` halves a load step that fails, where a constant
-``dt`` would lose step with us. ``stabilize_strain`` is on for ``"stabilised"``, our copy of
-it (:mod:`inflate_lib.mechanics.stabilised`), and for mean dilatation, its relative, whose digits differ a little; it is
+``dt`` would lose step with us. ``stabilize_strain`` is on for ``"stabilised"``, our copy of it
+(:mod:`inflate_lib.alternatives.stabilised`), and for mean dilatation, its relative, whose digits differ a little; it is
 off for plain Q1.
 
 The files are checked by reading them back; they have not been run with MOOSE in this project.
@@ -24,7 +24,7 @@ import numpy as np
 from inflate_lib._checks import choice, positive_number
 from inflate_lib._files import check_outputs, hand_out, hand_out_folder, naming
 from inflate_lib.io import _exodus
-from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MAX_HALVINGS, MU, PRESSURE, check_lame, load_history
+from inflate_lib.mechanics.inflation import LAMBDA, MAX_HALVINGS, MU, PRESSURE, check_lame, load_history
 
 if TYPE_CHECKING:
     from inflate_lib.mechanics.inflation import Inflation
@@ -146,13 +146,16 @@ _INPUT = """\
 """
 
 
+_STABILIZE = {"mean-dilatation": "true", "q1": "false", "stabilised": "true"}
+
+
 def _input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
     """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`."""
-    choice("element", element, ELEMENTS)
+    choice("element", element, _STABILIZE)
     lam, mu = check_lame(lame)
     times, pressures = load_history(pressure, n_steps)
     return _INPUT.format(
-        name=name, stabilize="false" if element == "q1" else "true", lam=lam, mu=mu,
+        name=name, stabilize=_STABILIZE[element], lam=lam, mu=mu,
         times=_words(times), pressures=_words(pressures), dtmin=float(times[0]) / 2**MAX_HALVINGS,
         cavity=_exodus.CAVITY, clamped=_exodus.CLAMPED,
     )  # fmt: skip

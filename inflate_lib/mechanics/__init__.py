@@ -7,7 +7,7 @@ from inflate_lib._lazy import attach
 if TYPE_CHECKING:
     from inflate_lib.mechanics.adjoint import sensitivities
     from inflate_lib.mechanics.buildable import Flaw, find_flaw
-    from inflate_lib.mechanics.contact import contact_forces, first_contact, self_contact
+    from inflate_lib.mechanics.contact import first_contact, self_contact
     from inflate_lib.mechanics.inflation import Inflation, inflate
     from inflate_lib.mechanics.mesh import Mesh, build_mesh
     from inflate_lib.mechanics.stress import cauchy_stress, largest_stretch, peaks, von_mises
@@ -18,7 +18,6 @@ __all__ = [
     "Mesh",
     "build_mesh",
     "cauchy_stress",
-    "contact_forces",
     "find_flaw",
     "first_contact",
     "inflate",

@@ -19,8 +19,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import ndimage
 
-from inflate_lib.mechanics import _kernels
-from inflate_lib.mechanics.inflation import Inflation, equilibrium
+from inflate_lib.mechanics.inflation import Inflation, equilibrium, solve
 from inflate_lib.structures.labels import THICKNESS, VOID, WALL
 
 _SQUARE = np.ones((2 * THICKNESS + 1, 2 * THICKNESS + 1))  # that the cavity is grown by to get the wall
@@ -53,14 +52,9 @@ def sensitivities(result: Inflation, gradient: Callable[[np.ndarray], np.ndarray
         raise ValueError(f"the structure has no equilibrium to differentiate: {result.reason}")
     load = gradient(deformed)
     system, state = equilibrium(result, step)
-    if _kernels.factorise(system.pattern, state.tangent, state.inverses) < len(system.order):
+    adjoint = solve(system, state, load)
+    if adjoint is None:
         raise ValueError("the equilibrium is not stable: its tangent is not positive definite")
-    free = load[system.order]
-    free[: len(system.pinned)][system.pinned] = 0
-    solution = free.ravel()
-    _kernels.solve(system.pattern, state.tangent, state.inverses, solution)
-    adjoint = np.zeros_like(deformed)
-    adjoint[system.order] = solution.reshape(-1, 2)
     adjoint = adjoint[result.cells]
 
     forces = system.stiffness[system.kind] @ state.corners + np.einsum("mq,mqai->mai", state.slope, state.c)

@@ -15,7 +15,7 @@ derivative G of J and the second derivative H of A are constants, and with c = �
 
 symmetric, and cheap to assemble. Elements differ only in where J is taken: at the four Gauss points (``"q1"``, which
 locks, because λ/μ = 100) or once per element as its mean (``"mean-dilatation"``, the default, which does not). MOOSE's
-element (``"stabilised"``), which has no potential, is in :mod:`inflate_lib.mechanics.stabilised`.
+element, which has no potential, is in :mod:`inflate_lib.alternatives.stabilised`.
 """
 
 import reprlib
@@ -26,14 +26,13 @@ from functools import cached_property, lru_cache, partial
 import numpy as np
 
 from inflate_lib._checks import choice, numbers, positive_number, whole_number
-from inflate_lib.mechanics import _barrier, _kernels, material, stabilised
+from inflate_lib.mechanics import _barrier, _kernels, material
 from inflate_lib.mechanics.contact import coupled_system, keep_apart, walls_of
 from inflate_lib.mechanics.material import LAMBDA, MU
 from inflate_lib.mechanics.mesh import Mesh, build_mesh, check_mesh
 
 PRESSURE = 0.01  # internal pressure at t = 1: p(t) = PRESSURE · t
-WITH_POTENTIAL = ("mean-dilatation", "q1")  # elements whose equilibria are stationary points
-ELEMENTS = (*WITH_POTENTIAL, "stabilised")
+ELEMENTS = ("mean-dilatation", "q1")
 MAX_STEPS = 10_000  # load steps
 MAX_HALVINGS = _kernels.MAX_HALVINGS  # of a load step that does not converge
 
@@ -53,7 +52,7 @@ class Inflation:
     ----------
     mesh : Mesh
     element : str
-        ``"mean-dilatation"``, ``"q1"`` or ``"stabilised"``.
+        ``"mean-dilatation"`` or ``"q1"``.
     load_steps : (steps,) float
         Times t of the load steps, equally spaced up to t = 1.
     pressures : (steps,) float
@@ -107,24 +106,18 @@ class Inflation:
 
     @cached_property
     def stretch_across(self) -> np.ndarray:
-        """(steps, m, 4) stretch F₃₃ across the plane at the Gauss points: 1, but for the stabilised element."""
-        F = self.deformation_gradient
-        if self.element != "stabilised":
-            return np.ones(F.shape[:-2])
-        return stabilised.stretch_across(F, shape_gradients(self.nodes[self.cells])[1])
+        """(steps, m, 4) stretch F₃₃ across the plane at the Gauss points: 1, but for MOOSE's element."""
+        return np.ones(self.deformation_gradient.shape[:-2])
 
     @cached_property
     def first_piola_kirchhoff(self) -> np.ndarray:
         """(steps, m, 4, 2, 2) in-plane first Piola–Kirchhoff stress P at the Gauss points, in units of μ and λ.
 
-        With mean dilatation the part φ′(J) cof F takes the element's mean J, as the equilibrium does; the stabilised
-        element takes its F′ = γ F.
+        With mean dilatation the part φ′(J) cof F takes the element's mean J, as the equilibrium does.
         """
         F, J = self.deformation_gradient, None
-        _, weights = shape_gradients(self.nodes[self.cells])
-        if self.element == "stabilised":
-            return stabilised.first_piola_kirchhoff(F, weights, self.lame)
         if self.element == "mean-dilatation":
+            _, weights = shape_gradients(self.nodes[self.cells])
             J = F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
             J = np.broadcast_to(np.average(J, axis=-1, weights=np.broadcast_to(weights, J.shape))[..., None], J.shape)
         return material.first_piola_kirchhoff(F, self.lame, J)
@@ -149,9 +142,8 @@ def inflate(
         Labels 0 (outside), 0.5 (wall), 1 (void), from :func:`inflate_lib.label_image`; or a mesh.
     n_steps : int, optional
         Equal load steps t = 1/n, …, 1. Ten, as in the paper; or as many as the pressure history has entries.
-    element : {"mean-dilatation", "q1", "stabilised"}
-        Bilinear quadrilateral with the mean dilatation of Simo, Taylor and Pister (no locking), or plain, or as MOOSE
-        stabilises it, for comparison: five times as slow as the first, and not quite in plane strain.
+    element : {"mean-dilatation", "q1"}
+        Bilinear quadrilateral with the mean dilatation of Simo, Taylor and Pister (no locking), or plain.
     refine : int
         Sub-elements per pixel and direction; a mesh is taken as it is.
     pressure : float or sequence of float
@@ -188,10 +180,9 @@ def inflate(
         positive_number("time_limit", time_limit, "seconds")
     if contact is not False:
         gap = None if contact is True else positive_number("contact", contact, "lengths of the unit square, or a bool")
-        choice("element", element, WITH_POTENTIAL)
     mesh = check_mesh(label) if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
 
-    system = build_system(mesh, "mean-dilatation" if element == "stabilised" else element, (lam, mu))
+    system = build_system(mesh, element, (lam, mu))
     n_steps = len(pressures)
     allowed, limit = max(_FACTORISATIONS[0], _FACTORISATIONS[1] * n_steps), ""
     if time_limit is not None and time_limit < allowed * nominal_seconds(system):
@@ -209,12 +200,6 @@ def inflate(
         found, more, ended = keep_apart(build, walls, displacement[:reached], pressures, allowed - factorisations)
         reached, factorisations, why = len(found), factorisations + more, ended if more else why
         displacement[:reached], displacement[reached:] = found, np.nan
-    if element == "stabilised":
-        gradients, weights = shape_gradients(mesh.nodes[mesh.cells])
-        starts = mesh.nodes + displacement[:reached]
-        found, more = stabilised.correct(mesh, gradients, weights, starts, pressures[:reached], (lam, mu))
-        reached, factorisations = len(found), factorisations + more
-        displacement[:reached], displacement[reached:] = found - mesh.nodes, np.nan
     reason = ""
     if reached < n_steps:
         reason = f"no equilibrium was found at load step {reached + 1} of {n_steps} (pressure {pressures[reached]:.4g})"
@@ -303,7 +288,7 @@ def build_system(mesh, element="mean-dilatation", lame=(LAMBDA, MU), couplings=N
     System
         Free nodes are numbered in the order of elimination: number i is node ``order[i]`` of the mesh.
     """
-    choice("element", element, WITH_POTENTIAL)
+    choice("element", element, ELEMENTS)
     lam, mu = lame
     held = np.broadcast_to(np.reshape(mesh.clamped, (len(mesh.nodes), -1)), mesh.nodes.shape)  # (n,) or (n, 2)
     free = np.flatnonzero(~held.all(axis=1))
@@ -364,6 +349,21 @@ def assemble(system, positions, pressure, walls=None):
         _kernels.push(system, state, walls, near)
         _kernels.stiffen(system, state, walls, near, 1.0)
     return state
+
+
+def solve(system, state, load):
+    """Moves of all nodes, (n, 2), under a load (n, 2), by the tangent of a state, which its factor overwrites.
+
+    None where the tangent is not positive definite. Clamped nodes do not move.
+    """
+    if _kernels.factorise(system.pattern, state.tangent, state.inverses) < len(system.order):
+        return None
+    free, moves = load[system.order], np.zeros_like(load)
+    free[: len(system.pinned)][system.pinned] = 0
+    solution = free.ravel()
+    _kernels.solve(system.pattern, state.tangent, state.inverses, solution)
+    moves[system.order] = solution.reshape(-1, 2)
+    return moves
 
 
 def equilibrium(result, step=-1):

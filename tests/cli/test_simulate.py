@@ -281,7 +281,7 @@ def test_files_in_the_way_are_kept_and_named_before_the_work(folder, run, monkey
     os.mkfifo(folder / "fifo.png")
     (folder / "link.png").symlink_to(folder / "seven.png")
     (folder / "hard.png").hardlink_to(folder / "seven.png")
-    monkeypatch.setattr(_images, "inflate", None)  # so that nothing is inflated
+    monkeypatch.setattr(_images, "inflate_with", None)  # so that nothing is inflated
     before = state(folder)
     code, _, err = run(*arguments)
     assert code == 1 and message in err and "Traceback" not in err

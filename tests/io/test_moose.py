@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from inflate_lib import build_mesh, describe, inflate, label_image
+from inflate_lib.alternatives.reference import quarter_ring
 from inflate_lib.cli._images import Options, simulate_files
 from inflate_lib.io import _exodus, moose
-from inflate_lib.mechanics.reference import quarter_ring
 from inflate_lib.structures.sources import load_sevens
 
 LABEL = label_image(load_sevens("digits").images[0])

@@ -16,8 +16,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from inflate_lib import build_mesh, describe, inflate, label_image
 from inflate_lib.mechanics import inflation
-from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, Inflation, build_system, shape_gradients
-from inflate_lib.mechanics.inflation import WITH_POTENTIAL as ELEMENTS
+from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE, Inflation, build_system, shape_gradients
 from inflate_lib.mechanics.mesh import Mesh
 from inflate_lib.structures.labels import _EDGES
 from inflate_lib.structures.sources import load_sevens, resolve_source

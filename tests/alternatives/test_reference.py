@@ -10,9 +10,9 @@ from mechanics_peers import graded_mesh, hook, inflate_with_felupe
 from scipy.interpolate import CubicSpline
 
 from inflate_lib import build_mesh, describe, inflate, label_image, paths
+from inflate_lib.alternatives.reference import incompressible_tube, quarter_ring, tube
 from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, shape_gradients
 from inflate_lib.mechanics.material import first_piola_kirchhoff
-from inflate_lib.mechanics.reference import incompressible_tube, quarter_ring, tube
 from inflate_lib.structures.labels import point_joints
 from inflate_lib.structures.sources import load_sevens, resolve_source
 
