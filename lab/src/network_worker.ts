@@ -12,8 +12,11 @@ let ready: { model: StoredModel; network: Network } | null = null;
 
 answer({
   load: async (_, model: StoredModel) => {
+    const code = bytes(wasm);
     if (typeof WebAssembly === "undefined") throw new Refusal("this browser has no WebAssembly, which drawing needs");
-    await startBackend(bytes(wasm));
+    if (!WebAssembly.validate(code as BufferSource))
+      throw new Refusal("this browser's WebAssembly has no SIMD, which drawing needs");
+    await startBackend(code);
     ready = { model, network: new Network(model) };
   },
   draw: (watch, targets: Targets, options?: DrawOptions) => {
