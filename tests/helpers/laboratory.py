@@ -1,5 +1,6 @@
 """The laboratory in a real browser, opened from the disk with the network off, beside the library."""
 
+import json
 import time
 from contextlib import contextmanager, suppress
 
@@ -15,10 +16,13 @@ from inflate_lib.diffusion.sampling import noise_images
 N_STRUCTURES = 200
 READY = "/built\\./.test(document.querySelector('.lab-status')?.textContent)"  # something has been inflated
 #: Asks for structures by given noise, {n, purpose, noise} beside the targets.
-_DRAWN = "async ([targets, options]) => (await inflateLab.draw(targets, options)).map((image) => Array.from(image))"
+_DRAWN = """async (told) => {
+  const images = await inflateLab.draw(...JSON.parse(told));
+  return JSON.stringify(images.map((image) => Array.from(image)));
+}"""
 _INFLATED = """async (images) => {
   const found = [];
-  for (const image of images) {
+  for (const image of JSON.parse(images)) {
     try {
       const result = await inflateLab.inflate(await inflateLab.label(image));
       const told = { said: result.reason };
@@ -29,8 +33,13 @@ _INFLATED = """async (images) => {
       found.push(told);
     } catch (error) { found.push({ said: error.message }); }
   }
-  return found;
+  return JSON.stringify(found);
 }"""
+
+
+def _called(page, function, *told):
+    """What a function of the page makes of JSON; Playwright's own way takes long for many numbers."""
+    return json.loads(page.evaluate(function, json.dumps(told if len(told) > 1 else told[0])))
 
 
 @contextmanager
@@ -104,7 +113,7 @@ def _outcome(image):
 
 def inflated_apart(page, images):
     """How far page and library are apart, and how many inflate: (displacements, descriptors, n); same refusals."""
-    found = [one for part in np.array_split(images, 10) for one in page.evaluate(_INFLATED, part.tolist())]
+    found = [one for part in np.array_split(images, 10) for one in _called(page, _INFLATED, part.tolist())]
     displacements, descriptors = [], []
     for k, (image, here) in enumerate(zip(images, found, strict=True)):
         said, displacement, values = _outcome(image)
@@ -127,7 +136,7 @@ def drawn_apart(page, model, purpose, targets, n=2):
     made = noise_images(seed_for(1, name_of(targets)), range(n), (28, 28), torch.device("cpu"))
     noise = [next(made).ravel().tolist() for _ in range(model.sampling["steps"] + 1)]
     told = {name: np.asarray(value).tolist() for name, value in targets.items()}
-    found = page.evaluate(_DRAWN, [told, {"n": n, "purpose": purpose, "noise": noise}])
+    found = _called(page, _DRAWN, told, {"n": n, "purpose": purpose, "noise": noise})
     return np.abs(np.reshape(found, wanted.shape) - wanted).max()
 
 
