@@ -181,6 +181,7 @@ def reproduce(
             console.print(f"{job.name}: {reasons[job.name] or 'fresh'}", highlight=False)
         jobs = min(jobs, max(1, len(todo)))
         budgets = load_profile(profile_name).budgets(job.source for job in work)
+        todo.sort(key=lambda job: -budgets.get(job.name, 0.0))  # the longest first: none runs alone at the end
         schedule = Schedule({job.name: budgets[job.name] for job in todo if budgets}, jobs, then)
         seconds = _run(todo, jobs, console, schedule)
     _print_timings(console, profile_name, work, seconds, budgets)

@@ -489,6 +489,15 @@ def test_retraining_reaches_the_notebooks_and_makes_them_run_again(home, monkeyp
         assert executed.cells[-1].outputs[0].text == f"{retrain}\n"
 
 
+def test_the_longest_notebooks_begin(home, monkeypatch):
+    with (home / "notebooks" / "profiles" / "ci.yml").open("a") as stream:
+        stream.write("budget: {01_first: 10, 02_second: 30}\n")
+    begun = []
+    monkeypatch.setattr(reproduce, "_run", lambda todo, *_: begun.extend(job.name for job in todo) or {})
+    run()
+    assert begun == ["02_second", "01_first"]
+
+
 def test_two_runs_do_not_share_a_checkout(home):
     with reproduce._only_run(), pytest.raises(RunError, match=r"another .* is at work"):
         run()
