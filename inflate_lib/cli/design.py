@@ -46,6 +46,9 @@ def design(
     seconds: Annotated[float, typer.Option(help="Stop the search after so long.")] = 90.0,
     candidates: Annotated[int, typer.Option(min=1, help="Stop the search after so many.")] = 4096,
     refine: Annotated[int, typer.Option(min=0, help="Inflations spent on each near miss, pixel by pixel.")] = 60,
+    smooth: Annotated[
+        bool, typer.Option("--smooth/--no-smooth", help="Smooth borders to cut, and a wall of one thickness.")
+    ] = False,
     start_from: Annotated[
         str, typer.Option(help="Candidates: drawings of the model, the nearest training structures, or both.")
     ] = "both",
@@ -72,7 +75,7 @@ def design(
     if from_file is not None:
         if any(value is not None for value in asked):
             raise ValueError("--from takes its targets from the file: leave out --height, --width, --area and the like")
-        _carry_on(from_file, out, tolerance, refine, seed, size_mm, depth_mm, overwrite)
+        _carry_on(from_file, out, tolerance, refine, seed, smooth, size_mm, depth_mm, overwrite)
         return
     unit = size_mm if outline_unit is None else outline_unit
     targets = read_targets(axis, outline, unit, height=height, width=width, area=area, stress=stress, stretch=stretch)
@@ -84,6 +87,7 @@ def design(
             found = design(
                 targets, number, profile=profile, start_from=start_from, constraints=constraints, tolerance=tolerance,
                 prefer=prefer, seed=seed, seconds=seconds, max_candidates=candidates, refine=refine,
+                smooth=smooth,
             )  # fmt: skip
             print(found.summary())
             if found.designs:
@@ -98,13 +102,13 @@ def design(
         raise typer.Exit(2)
 
 
-def _carry_on(file, out, tolerance, refine, seed, size_mm, depth_mm, overwrite):
+def _carry_on(file, out, tolerance, refine, seed, smooth, size_mm, depth_mm, overwrite):
     """Write the structure of a file as a design."""
     from inflate_lib.inverse.drawn import continue_drawn
     from inflate_lib.inverse.save import claimed_folder, write_designs
 
     with claimed_folder(out, 1, overwrite, [file]) as folder:
-        found = continue_drawn(file, tolerance, refine, seed)
+        found = continue_drawn(file, tolerance, refine, seed, smooth)
         print(found.table().to_string(index=False, float_format="{:.4g}".format))
         write_designs(found, folder, size_mm, depth_mm)
     print(f"written: {out / 'contact_sheet.png'}, and the folder {out / 'design_01'}")

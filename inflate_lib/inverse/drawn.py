@@ -7,9 +7,9 @@ import numpy as np
 
 from inflate_lib.descriptors import describe
 from inflate_lib.inverse.constraints import Constraints
-from inflate_lib.inverse.refine import attempt
+from inflate_lib.inverse.refine import Rejection, attempt
 from inflate_lib.inverse.refine import refine as refine_structure
-from inflate_lib.inverse.search import Design, Designs, Stop
+from inflate_lib.inverse.search import Design, Designs, Stop, check_smooth, with_smooth_borders
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.mechanics.inflation import PRESSURE
 from inflate_lib.mechanics.material import LAMBDA, MU
@@ -58,15 +58,18 @@ def read_drawn(path: str | Path) -> tuple[np.ndarray, Targets | None]:
     return np.array([[float(digit) for digit in row] for row in rows]), asked
 
 
-def continue_drawn(path: str | Path, tolerance: float = 0.01, refine: int = 60, seed: int = 0) -> Designs:
+def continue_drawn(
+    path: str | Path, tolerance: float = 0.01, refine: int = 60, seed: int = 0, smooth: bool = False
+) -> Designs:
     """The drawing of a file as a design: inflated, refined towards its targets, ready for :func:`.save.save_designs`.
 
-    Without targets, its own height, width and area are what it is asked for.
+    Without targets, its own height, width and area are what it is asked for. With `smooth` it gets smooth borders, as
+    in :func:`inflate_lib.design`.
 
     Raises
     ------
     ValueError
-        As :func:`read_drawn`, and where the structure cannot be built, with the reason.
+        As :func:`read_drawn`, and where the structure cannot be built, or not with smooth borders, with the reason.
     """
     image, targets = read_drawn(path)
     constraints = Constraints()
@@ -76,6 +79,7 @@ def continue_drawn(path: str | Path, tolerance: float = 0.01, refine: int = 60, 
     if targets is None:
         shape = describe(result)
         targets = Targets(height=shape.height, width=shape.width, area=shape.hull_area)
+    check_smooth(smooth, targets)
     before = max(deviations(targets, describe(result)).values())
     label, result, flipped = refine_structure(label, result, targets, constraints, tolerance / 2, refine, seed)
     shape = describe(result)
@@ -86,4 +90,8 @@ def continue_drawn(path: str | Path, tolerance: float = 0.01, refine: int = 60, 
     found = Designs([one], [one] if within else [], targets, constraints, tolerance, 1, None, seed)
     found.tried, found.stopped, found.sources["drawn"] = 1, Stop.DRAWN, 1
     found.refined = int(within and before > tolerance)
+    if smooth:
+        found.designs = with_smooth_borders(found)
+        if not found.designs:
+            raise ValueError(f"{path}: {Rejection.SMOOTH.value} Leave its borders as they are (--no-smooth).")
     return found

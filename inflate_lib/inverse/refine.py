@@ -39,6 +39,7 @@ class Rejection(StrEnum):
     SYMMETRIC = "The structure is not its own mirror image."
     KEEP_OUT = "The structure reaches into the region that it had to keep out of."
     REPEATED = "The structure was drawn before."
+    SMOOTH = "With smooth borders it cannot be built, does not fit into the frame, or breaks a demand."
 
 
 def attempt(image, constraints):

@@ -1,6 +1,7 @@
 """What a design is handed out as: pictures, an outline to cut, solids to print, files for ParaView and MOOSE, a record.
 
-The solids and the outline are the very pixels that were simulated, in millimetres.
+The solids and the outline are the very mesh that was simulated, in millimetres: pixels, or quadrilaterals between
+smooth borders.
 """
 
 import json
@@ -18,11 +19,12 @@ from inflate_lib._checks import positive_number
 from inflate_lib._files import check_outputs, file_digest, hand_out_folder, locked, made, naming, sweep, written_before
 from inflate_lib._provenance import package_versions
 from inflate_lib.inverse.search import Designs
+from inflate_lib.inverse.smooth import pixel_plan
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.vtk import vtk_files, write_vtk
 from inflate_lib.mechanics.inflation import PRESSURE, load_history
 from inflate_lib.mechanics.mesh import boundary_loops
-from inflate_lib.structures.labels import FRAME, WALL, point_joints
+from inflate_lib.structures.labels import FRAME, THICKNESS
 
 _SIZE_MM, _DEPTH_MM, _BASE_MM = 100.0, 20.0, 3.0
 _SEARCH_FILES = ("contact_sheet.png", "designs.csv", "designs.json")
@@ -38,7 +40,8 @@ def save_designs(
     """Write a contact sheet, a table and a folder for each design.
 
     ``contact_sheet.png``, ``designs.csv``, ``designs.json`` (the search, and the SHA-256 of every file), and in
-    ``design_01``, …: ``structure.png`` (28 × 28, what ``inflate simulate`` reads), ``picture.png``, ``outline.svg``
+    ``design_01``, …: ``structure.png`` (28 × 28, what ``inflate simulate`` reads; of a
+    smooth design the pixels that it comes from), ``picture.png``, ``outline.svg``
     (mm), ``mould.stl`` (a tray in which the structure is cast) and ``part.stl`` (the structure itself),
     ``inflated.pvd`` with its series, ``moose/``, and ``design.json`` with seed and provenance.
 
@@ -209,13 +212,11 @@ def _told(reason):
     return {"reason": reason.name.lower(), "sentence": reason.value}
 
 
-def _outline_svg(label, size_mm=_SIZE_MM):
+def _outline_svg(plan, size_mm=_SIZE_MM):
     """SVG text of a structure's outline: one path for the wall, its cavity cut out; user units are millimetres."""
-    lines, cells = _grid(label)
-    corners, quads = _corners(lines), _quads(cells == WALL)
-    points = size_mm * (corners * [1, -1] + [0, 1])  # y downwards
+    points = size_mm * (plan.points * [1, -1] + [0, 1])  # y downwards
     parts = []
-    for loop in boundary_loops(quads):
+    for loop in boundary_loops(plan.quads[plan.wall]):
         corner = _turns(points[loop])
         parts.append("M " + " L ".join(f"{a:.6g},{b:.6g}" for a, b in points[loop][corner]) + " Z")
     size = f"{size_mm:.6g}"
@@ -225,59 +226,46 @@ def _outline_svg(label, size_mm=_SIZE_MM):
     )
 
 
-def mould(label, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM, base_mm=_BASE_MM):
+def mould(plan, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM, base_mm=_BASE_MM):
     """The tray in which a structure is cast, as a closed surface: the wall is its trough, the cavity a core in it.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of its frame and the rim, which closes the trough on every side.
+    size_mm, depth_mm, base_mm : float
 
     Returns
     -------
     points : (n, 3) float, mm
     triangles : (m, 3) int, counter-clockwise seen from outside
     """
-    lines, cells = _grid(np.pad(label, 1))  # a rim of one pixel, so that the trough is closed on every side
-    lines = size_mm * ((FRAME + 2) * lines - 1) / FRAME
-    return _solid(lines, np.where(cells == WALL, base_mm, base_mm + depth_mm))
+    return _solid(size_mm * plan.points, plan.quads, np.where(plan.wall, base_mm, base_mm + depth_mm))
 
 
-def part(label, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM):
+def part(plan, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM):
     """The structure itself, its wall extruded, as a closed surface; see :func:`mould`."""
-    lines, cells = _grid(label)
-    return _solid(size_mm * lines, np.where(cells == WALL, depth_mm, 0.0))
+    return _solid(size_mm * plan.points, plan.quads[plan.wall], np.full(plan.wall.sum(), depth_mm))
 
 
-def _grid(label):
-    """Grid lines in [0, 1], in x and in y, and labels of the pixels between them, the first row being the lowest."""
-    if point_joints(label):  # there a solid would have no thickness
-        raise ValueError("label: parts of the wall hold together in a single node, of which no solid can be made")
-    return np.arange(len(label) + 1) / len(label), np.asarray(label, dtype=float)[::-1]
+def _solid(corners, quads, height):
+    """Closed surface, as of :func:`mould`, of columns of a height (m,) on quadrilaterals (m, 4) of corners (n, 2).
 
-
-def _solid(lines, height):
-    """Closed surface, as of :func:`mould`, of columns on the cells of a grid with these lines, (n,), in x and in y.
-
-    `height` (n − 1, n − 1) is that of each column, 0 for none; at most two others may occur, and no two cells of one
-    height may meet at a corner only.
+    At most two heights may occur, and no two columns of one height may meet at a corner only.
     """
-    corners = _corners(lines)
-    levels = np.unique(np.append(height, 0.0))
-    points = np.concatenate([np.column_stack([corners, np.full(len(corners), z)]) for z in levels])
-    there = height > 0
-    base = _quads(there)
-    top = base + np.searchsorted(levels, height[there])[:, None] * len(corners)
-    quads = [base[:, ::-1], top]
-    grid = np.pad(height, 1)
-    nodes = np.arange(len(corners)).reshape(len(lines), -1)
-    # Across each inner or outer edge of the grid: the lower and the upper height make an upright face, if they differ.
-    for here, beyond, start, end in (
-        (grid[1:-1, :-1], grid[1:-1, 1:], nodes[:-1], nodes[1:]),  # from left to right across upright edges
-        (grid[1:, 1:-1], grid[:-1, 1:-1], nodes[:, :-1], nodes[:, 1:]),  # from above to below across level edges
-    ):
-        for lower, upper, first, second in ((beyond, here, start, end), (here, beyond, end, start)):
-            face = upper > lower
-            low, high = (np.searchsorted(levels, z[face]) * len(corners) for z in (lower, upper))
-            quads.append(
-                np.column_stack([first[face] + low, second[face] + low, second[face] + high, first[face] + high])
-            )
-    quads = np.concatenate(quads)
+    levels, n = np.unique(np.append(height, 0.0)), len(corners)
+    points = np.concatenate([np.column_stack([corners, np.full(n, z)]) for z in levels])
+    start, end = quads.ravel(), np.roll(quads, -1, axis=1).ravel()
+    here, key, back = np.repeat(height, 4), start * n + end, end * n + start  # the neighbour runs along a side back
+    order = np.argsort(key)
+    place = order[np.searchsorted(key, back, sorter=order).clip(0, len(key) - 1)]
+    beyond = np.where(key[place] == back, here[place], 0.0)
+    face = here > beyond
+    low, high = (np.searchsorted(levels, z[face]) * n for z in (beyond, here))
+    first, second = start[face], end[face]
+    upright = np.column_stack([first + low, second + low, second + high, first + high])
+    top = quads + np.searchsorted(levels, height)[:, None] * n
+    quads = np.concatenate([quads[:, [0, 3, 2, 1]], top, upright])  # each halved between its corners 0 and 2
     used, numbers = np.unique(quads, return_inverse=True)
     quads = numbers.reshape(quads.shape)
     return points[used], np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
@@ -295,9 +283,10 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
     folder.mkdir()
     Image.fromarray(np.round(254 * one.label).astype(np.uint8)).save(folder / "structure.png")
     pictures.write_picture(one.result, folder / "picture.png")
-    (folder / "outline.svg").write_text(_outline_svg(one.label, size_mm), encoding="utf-8")
-    _write_stl(folder / "mould.stl", *mould(one.label, size_mm, depth_mm))
-    _write_stl(folder / "part.stl", *part(one.label, size_mm, depth_mm))
+    plan = one.plan or pixel_plan(one.label)
+    (folder / "outline.svg").write_text(_outline_svg(plan, size_mm), encoding="utf-8")
+    _write_stl(folder / "mould.stl", *mould(plan, size_mm, depth_mm))
+    _write_stl(folder / "part.stl", *part(plan, size_mm, depth_mm))
     write_vtk(one.result, folder / "inflated.pvd")
     moose.write_case(one.result.mesh, folder / "moose", name)
     record = {
@@ -310,7 +299,13 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
         "candidate": one.candidate,
         "origin": one.origin,
         "novelty": one.novelty,
-        "millimetres": {"frame": size_mm, "depth": depth_mm, "base of the mould": _BASE_MM},
+        "borders": "smooth" if one.plan else "pixels",
+        "millimetres": {
+            "frame": size_mm,
+            "depth": depth_mm,
+            "base of the mould": _BASE_MM,
+            "wall": size_mm * THICKNESS / FRAME,
+        },
         "search": _search_record(designs),
     }
     _write_json(folder / "design.json", record)
@@ -327,19 +322,6 @@ def _without_nan(value):
     if isinstance(value, list | tuple):
         return [_without_nan(entry) for entry in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def _corners(lines):
-    """(n², 2) the points of a grid, row by row."""
-    return np.column_stack([np.tile(lines, len(lines)), np.repeat(lines, len(lines))])
-
-
-def _quads(chosen):
-    """(m, 4) corners of the chosen cells of a grid, (b − 1, a − 1) bool, counter-clockwise."""
-    row, column = np.nonzero(chosen)
-    per_row = chosen.shape[1] + 1
-    lower_left = row * per_row + column
-    return lower_left[:, None] + np.array([0, 1, per_row + 1, per_row])
 
 
 def _turns(points):

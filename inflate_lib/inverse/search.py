@@ -19,7 +19,7 @@ import xarray as xr
 from joblib import Parallel, delayed
 
 from inflate_lib import paths
-from inflate_lib._checks import choice, positive_number, whole_number, workers
+from inflate_lib._checks import choice, flag, positive_number, whole_number, workers
 from inflate_lib.alternatives.surrogate import centred
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_before, simulated_sevens
@@ -30,6 +30,7 @@ from inflate_lib.inverse.candidates import STARTS, Drawings, Neighbours, differe
 from inflate_lib.inverse.constraints import Constraints, mirrored
 from inflate_lib.inverse.refine import Rejection, attempt
 from inflate_lib.inverse.refine import refine as refine_structure
+from inflate_lib.inverse.smooth import Plan, smoothed
 from inflate_lib.inverse.targets import Targets, as_targets, deviations
 from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.models.reach import check_reach
@@ -61,6 +62,8 @@ class Design:
     ----------
     label : (28, 28) float
     result : Inflation
+        Of the label image; of a smooth design, of the shape with smooth borders that was made from it. Everything below
+        but the novelty is of the same.
     shape : Descriptors
     deviations : dict
         Relative error of each target, see :func:`inflate_lib.inverse.targets.deviations`.
@@ -74,6 +77,8 @@ class Design:
     novelty : float
         Share of its pixels in which it differs from the nearest training structure, 0 for a copy, see
         :func:`inflate_lib.inverse.candidates.differences`; NaN where these were not at hand, or it was not chosen.
+    plan : Plan, optional
+        The smooth borders; None for one of pixels.
     """
 
     label: np.ndarray
@@ -84,6 +89,7 @@ class Design:
     candidate: int
     origin: dict
     novelty: float = np.nan
+    plan: Plan | None = None
 
     @property
     def error(self) -> float:
@@ -141,6 +147,8 @@ class Designs:
         ]
         if good < len(self.designs):
             lines.append(f"The other {len(self.designs) - good} are the nearest misses, and are marked so.")
+        if smooth := sum(one.plan is not None for one in self.designs):
+            lines.append(f"{smooth} have smooth borders, and were inflated with them.")
         if self.refined:
             lines.append(f"{self.refined} of the {self.within} were near misses, refined pixel by pixel.")
         if len(self.sources) > 1:
@@ -172,6 +180,7 @@ def design(
     seconds: float = 90.0,
     max_candidates: int = 4096,
     refine: int = 60,
+    smooth: bool = False,
     n_jobs: int = -1,
     say: Callable | None = print,
 ) -> Designs:
@@ -207,6 +216,10 @@ def design(
     refine : int
         Inflations that may be spent on bringing each near miss nearer, pixel by pixel, see
         :func:`inflate_lib.inverse.refine.refine`; 0 for none.
+    smooth : bool
+        Give the designs smooth borders that one would cut, and a wall of one thickness, and correct them until they
+        inflate to the targets again (:func:`inflate_lib.inverse.smooth.smoothed`). One that cannot be had smooth, or
+        not within the tolerance, gives way to another of the pool. Not for stress and stretch, peaks of the pixels.
     n_jobs : int
         Threads that inflate.
     say : callable, optional
@@ -228,6 +241,7 @@ def design(
     """
     targets, constraints = as_targets(targets), constraints or Constraints()
     _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refine, n_jobs)
+    check_smooth(smooth, targets)
     _check_symmetric(targets, constraints, tolerance)
     if start_from == "training":
         model = None
@@ -265,6 +279,8 @@ def design(
         elif now - started + longest > seconds:
             found.stopped = Stop.TIME
     found.designs = choose(search.best, n, prefer)
+    if smooth:
+        found.designs = with_smooth_borders(found, n_jobs)
     if structures is not None:
         library = structures["label"].values[training_rows(structures)]
         novelty = differences([one.label for one in found.designs], library).min(axis=1)
@@ -412,11 +428,34 @@ def _verified(images, origins, found, seen, n_jobs):
     return designs
 
 
-def _measured(label, result, found, candidate, origin):
+def _measured(label, result, found, candidate, origin, plan=None):
     """A design from a structure and its inflation."""
     shape = describe(result)
     miss = deviations(found.targets, shape)
-    return Design(label, result, shape, miss, max(miss.values()) <= found.tolerance, candidate, origin)
+    within = max(miss.values()) <= found.tolerance
+    return Design(label, result, shape, miss, within, candidate, origin, plan=plan)
+
+
+def with_smooth_borders(found, n_jobs=-1):
+    """The designs of a search with smooth borders; in the place of one that misses them, another of the pool."""
+    chosen = {id(one) for one in found.designs}
+    waiting = [*found.designs, *(one for one in found.pool if id(one) not in chosen)]
+    hits, misses = [], []
+    while waiting and len(hits) < found.asked:
+        batch, waiting = waiting[: found.asked - len(hits)], waiting[found.asked - len(hits) :]
+        done = Parallel(n_jobs=n_jobs, backend="threading")(
+            delayed(smoothed)(one.label, found.targets, found.constraints, found.tolerance * _INSIDE) for one in batch
+        )
+        for one, smooth in zip(batch, done, strict=True):
+            if smooth is None:
+                found.rejected[Rejection.SMOOTH] += 1
+                continue
+            plan, result = smooth
+            design = _measured(one.label, result, found, one.candidate, one.origin, plan)
+            (hits if design.within else misses).append(design)
+    if not found.prefer:
+        hits = sorted(hits, key=lambda one: one.error)
+    return [*hits, *sorted(misses, key=lambda one: one.error)][: found.asked]
 
 
 def _refined(designs, found, seen, tries, n_jobs):
@@ -471,6 +510,15 @@ def _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refi
     if prefer is not None:
         choice("prefer", prefer, _PREFERENCES)
     choice("start_from", start_from, STARTS)
+
+
+def check_smooth(smooth, targets):
+    """A ValueError where something is asked for that smooth borders cannot be asked for."""
+    if flag("smooth", smooth) and (peaks := [name for name in PHYSICAL if name in targets.asked]):
+        raise ValueError(
+            f"{' and '.join(peaks)} cannot be asked of smooth borders: the peaks that models know sit in corners of "
+            "pixels (--no-smooth)"
+        )
 
 
 def _check_model(model, targets):

@@ -52,6 +52,20 @@ def test_the_command_writes_all_its_files(structure, tmp_path):
     assert (out / "design_01" / "mould.stl").is_file()
 
 
+def test_its_borders_can_be_smooth(structure, tmp_path):
+    cavity, shape = structure
+    file, out = tmp_path / "structure.json", tmp_path / "designs"
+    file.write_text(json.dumps(told(cavity, targets={"height": shape.height})))
+    done = CliRunner().invoke(_load_commands(), ["design", "--smooth", "--from", str(file), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    record = json.loads((out / "design_01" / "design.json").read_text())
+    assert record["borders"] == "smooth" and record["errors"]["height"] <= 0.01
+    assert record["achieved"]["height"] == pytest.approx(shape.height, rel=0.01)
+    file.write_text(json.dumps(told(cavity, targets={"stress": 0.2})))
+    with pytest.raises(ValueError, match=r"stress cannot be asked of smooth borders.*--no-smooth"):
+        continue_drawn(file, smooth=True)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -34,6 +34,7 @@ from inflate_lib.inverse.save import (
     save_designs,
 )
 from inflate_lib.inverse.search import Design, Designs, Stop
+from inflate_lib.inverse.smooth import pixel_plan
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.io.pictures import read_images
 from inflate_lib.io.vtk import write_vtk
@@ -91,7 +92,10 @@ def test_solids_are_closed_and_of_the_right_volume(label, tmp_path):
     frame = size**2 * ((FRAME + 2) / FRAME) ** 2
     volumes = {"part": size**2 * wall * depth}
     volumes["mould"] = frame * (base + depth) - volumes["part"]
-    for name, solid in (("part", part(label, size, depth)), ("mould", mould(label, size, depth, base))):
+    for name, solid in (
+        ("part", part(pixel_plan(label), size, depth)),
+        ("mould", mould(pixel_plan(label), size, depth, base)),
+    ):
         _write_stl(tmp_path / f"{name}.stl", *solid)
         read = trimesh.load_mesh(tmp_path / f"{name}.stl")
         assert read.is_watertight and read.is_winding_consistent and read.is_volume
@@ -113,7 +117,7 @@ def test_the_core_of_the_mould_is_where_the_cavity_is():
     row, column = np.argwhere(label == VOID)[10]
     wall_row, wall_column = np.argwhere(label == WALL)[10]
     cavity, trough = (column + 0.5, 27.5 - row), (wall_column + 0.5, 27.5 - wall_row)
-    surface = mould(label, 28.0, 5.0, 2.0)
+    surface = mould(pixel_plan(label), 28.0, 5.0, 2.0)
     for at, inside in (
         ((*cavity, 6), 1),
         ((*trough, 6), 0),
@@ -122,19 +126,18 @@ def test_the_core_of_the_mould_is_where_the_cavity_is():
         ((-1.5, 0, 1), 0),
     ):
         assert windings(*surface, at) == pytest.approx(inside, abs=1e-9)
-    assert windings(*part(label, 28.0, 5.0), (*trough, 2)) == pytest.approx(1, abs=1e-9)
-    assert windings(*part(label, 28.0, 5.0), (*cavity, 2)) == pytest.approx(0, abs=1e-9)
+    assert windings(*part(pixel_plan(label), 28.0, 5.0), (*trough, 2)) == pytest.approx(1, abs=1e-9)
+    assert windings(*part(pixel_plan(label), 28.0, 5.0), (*cavity, 2)) == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.parametrize("made", [mould, part, _outline_svg])
-def test_what_hangs_together_in_a_node_is_no_solid(made):
+def test_what_hangs_together_in_a_node_is_no_solid():
     with pytest.raises(ValueError, match="hold together in a single node"):
-        made(diagonal())
+        pixel_plan(diagonal())
 
 
 @pytest.mark.parametrize("label", LABELS)
 def test_the_outline_is_closed_and_in_millimetres(label, tmp_path):
-    (tmp_path / "a.svg").write_text(_outline_svg(label, size_mm=56))
+    (tmp_path / "a.svg").write_text(_outline_svg(pixel_plan(label), size_mm=56))
     (path,), _, attributes = svgpathtools.svg2paths2(str(tmp_path / "a.svg"))
     assert attributes["width"] == attributes["height"] == "56mm" and attributes["viewBox"] == "0 0 56 56"
     borders = path.continuous_subpaths()
