@@ -44,11 +44,11 @@ def test_the_surrogate_learns_what_can_be_seen_in_the_label(data, tmp_path, monk
     solid = (data["label"].values > 0).mean(axis=(1, 2))
     void = (data["label"].values == 1).mean(axis=(1, 2))
     seen = data.assign(height=("structure", void), hull_area=("structure", solid), width=("structure", solid + void))
-    trained = surrogate.train_surrogate(seen, steps=800, rows=np.arange(60))
+    trained = surrogate.train_surrogate(seen, steps=600, rows=np.arange(60))
     for name in ("height", "width", "area"):
         found, truth = trained.predict(seen["image"].values, name), descriptor_matrix(seen, name)
         assert ((found - truth) ** 2).mean() < 0.05 * truth.var(), name
-    again = surrogate.train_surrogate(seen, steps=800, rows=np.arange(60))  # from the cache
+    again = surrogate.train_surrogate(seen, steps=600, rows=np.arange(60))  # from the cache
     blank = np.concatenate([seen["image"].values[:2], np.zeros((1, 28, 28), np.uint8)])
     answers = again.predict(blank, "axis")
     np.testing.assert_allclose(answers[:2], trained.predict(blank[:2], "axis"))
