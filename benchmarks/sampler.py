@@ -2,8 +2,9 @@
 
     python benchmarks/sampler.py                the models as they were trained
     python benchmarks/sampler.py --students     those into which guidance was distilled
+    python benchmarks/sampler.py --steered      the same, corrected while they draw by the surrogate that tuned them
 
-The first writes data/reference/sampler.csv, the second sampler_students.csv, which the chapter "Training" shows, each
+The first writes data/reference/sampler.csv, the others sampler_students.csv, which the chapter "Training" shows, each
 with a note beside it that says where it comes from. Rows that a run does not measure stay as they are: those of other
 descriptors and ways, and of students before they were tuned. Every drawing is kept in the cache: a script that was
 stopped goes on where it was.
@@ -27,13 +28,15 @@ from stored import seconds, store
 
 from inflate_lib import paths
 from inflate_lib._cache import step_version
-from inflate_lib.alternatives.ablation import evaluate_variant
+from inflate_lib.alternatives.ablation import measures
+from inflate_lib.alternatives.steering import run_steered, steer
+from inflate_lib.alternatives.students import judge_of
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.calibrate import calibrate
-from inflate_lib.experiments.run import held_out_targets, run_experiment
+from inflate_lib.experiments.run import held_out_seed, held_out_targets, run_experiment
 from inflate_lib.experiments.variety import diversity, novelty
 from inflate_lib.models.recipe import load_recipe
 from inflate_lib.models.weights import STUDENTS, load_model
@@ -72,6 +75,7 @@ FOR_STUDENTS |= {
     "second order, w = 8, 12 steps": SECOND | {"steps": 12, "guidance": 8.0},
     "second order, w = 8, 5 steps": SECOND | {"steps": 5, "guidance": 8.0},
 }
+STEERED = {name: way for name, way in FOR_STUDENTS.items() if "w = 5" in name}
 ALIKE = 100  # drawings for one target
 TIMED = 32  # structures drawn to time a way
 
@@ -80,6 +84,7 @@ def options():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--profile", default="laptop", help="whose committed weights are asked")
     parser.add_argument("--students", action="store_true", help="in the few ways that suit models told their guidance")
+    parser.add_argument("--steered", action="store_true", help="the same, steered by the surrogate that tuned them")
     parser.add_argument("--descriptors", nargs="+", default=list(DESCRIPTORS), choices=DESCRIPTORS)
     parser.add_argument("--thorough", nargs="*", default=["height", "axis"], help="asked in every way, the rest in few")
     parser.add_argument("--only", nargs="+", metavar="WAY", help="these ways alone, by their names in the table")
@@ -87,7 +92,9 @@ def options():
     parser.add_argument("--targets", type=int, help="held-out targets (default: all in range)")
     parser.add_argument("--source", default="mnist")
     parser.add_argument("--seed", type=int, default=0)
-    return parser.parse_args()
+    given = parser.parse_args()
+    given.students |= given.steered
+    return given
 
 
 def evaluations(model, target):
@@ -113,7 +120,8 @@ def main():
     recipe, data = load_recipe(given.profile), simulated_sevens(given.source)
     known = training_rows(data)
     unseen = np.setdiff1d(np.flatnonzero(data["converged"].values), known)
-    ways = FOR_STUDENTS if given.students else WAYS
+    ways = STEERED if given.steered else FOR_STUDENTS if given.students else WAYS
+    judge = judge_of(data, recipe) if given.steered else None
     if unknown := set(given.only or ()) - set(ways):
         raise SystemExit(f"no way {sorted(unknown)}; there are {list(ways)}")
     yardstick = np.median(novelty(data["image"].values[unseen], data, known)[0])
@@ -125,27 +133,34 @@ def main():
             way, n_calibration = model.sampled(**ways[name]), 0 if name == PAPER else recipe.n_calibration
             row = {"descriptor": descriptor, "way": name, "evaluations": evaluations(way, targets[0])}
             if given.students:
-                row["student"] = "tuned" if "tuning" in model.trained.metadata else "distilled"
+                tuned = "tuned" if "tuning" in model.trained.metadata else "distilled"
+                row["student"] = "steered" if given.steered else tuned
             wanted = targets
             if name == PAPER:
                 wanted, _ = held_out_targets(data, descriptor, model, 100, given.seed)
-            row |= evaluate_variant(way, data, wanted, given.seed, n_calibration, n_jobs=1)
-            if given.students:
-                chosen = np.random.default_rng(given.seed).choice(known, given.known, replace=False)
-                told = descriptor_matrix(data, descriptor)[np.sort(chosen)]
-                seen = evaluate_variant(way, data, told, given.seed + 2, recipe.n_calibration, n_jobs=1)
-                row |= {f"{name}, training": seen[name] for name in ("R²", "median error")}
-            row["unit"] = get_descriptor(descriptor).error.unit
             if n_calibration:
                 fit = calibrate(way, data, n_calibration, given.seed, n_jobs=1)
                 way = replace(way, calibrations={descriptor: fit})
+
+            def ask(targets, n, seed, way=way):
+                if judge:
+                    return run_steered(way, targets, judge, 1.0, n, seed, n_jobs=1)
+                return run_experiment(way, targets, n, seed, n_jobs=1, extrapolate=True)
+
+            row |= measures(ask(wanted, 1, held_out_seed(given.seed)), descriptor, data, given.seed)
+            if given.students:
+                chosen = np.random.default_rng(given.seed).choice(known, given.known, replace=False)
+                told = descriptor_matrix(data, descriptor)[np.sort(chosen)]
+                seen = measures(ask(told, 1, held_out_seed(given.seed + 2)), descriptor, data, given.seed + 2)
+                row |= {f"{name}, training": seen[name] for name in ("R²", "median error")}
+            row["unit"] = get_descriptor(descriptor).error.unit
             three = three_targets(data, descriptor)
-            alike = run_experiment(way, three, ALIKE, given.seed + 1, n_jobs=1, extrapolate=True)
+            alike = ask(three, ALIKE, given.seed + 1)
             row["variety"] = diversity(alike, descriptor, data, n_resamples=10)["ratio"].mean()
             far = novelty(alike["image"].values, data, known)[0].reshape(len(three), ALIKE)
             row["novelty"] = np.median(far, axis=1).mean() / yardstick
             some = {"targets": np.repeat(three, TIMED // len(three) + 1, axis=0)[:TIMED]}
-            spent, _ = seconds(lambda way=way, some=some: draw(way, some["targets"]))
+            spent, _ = seconds(lambda way=way, some=some: draw(way, some["targets"], judge))
             rows.append(row | {"ms": 1000 * spent / TIMED})
             print(f"{time.monotonic() - started:.0f} s: {rows[-1]}", flush=True)
     table, remark, name = pd.DataFrame(rows), "", "sampler_students" if given.students else "sampler"
@@ -169,8 +184,10 @@ def main():
     )
 
 
-def draw(model, targets):
+def draw(model, targets, judge=None):
     """The drawing alone, to time it."""
+    if judge:
+        return steer(model, targets, targets, judge)
     return generate(model.trained, targets, seed=0, **model.sampling)
 
 

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from inflate_lib._cache import digest
-from inflate_lib._checks import number, whole_number
+from inflate_lib._checks import choice, number, whole_number
 from inflate_lib.alternatives.surrogate import Surrogate, soft_label
 from inflate_lib.diffusion import process
 from inflate_lib.diffusion.randomness import seed_for
@@ -53,12 +53,12 @@ def steer(
     seed: int = 0,
     start: int = 0,
 ) -> np.ndarray:
-    """Structures drawn by DDIM under the guidance of a surrogate.
+    """Structures drawn under the guidance of a surrogate.
 
     Parameters
     ----------
     model : inflate_lib.models.Model
-        Of a descriptor that the surrogate answers with; of its sampling, the sampler is not looked at.
+        Of a descriptor that the surrogate answers with; its sampler is not the ancestral one.
     told, wanted : (m, N) array_like
         What the model is told, and what the surrogate compares with; they differ where the model is calibrated.
     trained : Surrogate
@@ -75,7 +75,8 @@ def steer(
     whole_number("seed", seed, 0)
     whole_number("start", start, 0)
     columns, network = trained.columns(model.name), model.trained
-    options = {"steps": 20, "eta": 1.0, "guidance": 1.0, **model.sampling}
+    options = {"sampler": "ddim", "steps": 20, "eta": 1.0, "guidance": 1.0, **model.sampling}
+    choice("sampler", options["sampler"], ("ddim", "dpm-solver++"))
     y = torch.from_numpy(network.scaled(np.asarray(told, dtype=float))).float()
     scaled = (np.asarray(wanted, dtype=float) - trained.mean[columns]) / trained.scale[columns]
     scaled = torch.from_numpy(scaled).float()
@@ -94,8 +95,7 @@ def steer(
 
     with torch.no_grad():
         noise = noise_images(seed, range(start, start + len(y)), network.image_size, torch.device("cpu"))
-        for x in denoise(predict, schedule, noise, objective, "ddim", options["steps"], options["eta"]):
-            last = x
+        *_, last = denoise(predict, schedule, noise, objective, options["sampler"], options["steps"], options["eta"])
     return ((last[:, 0] + 1) / 2).clamp(0, 1).numpy()
 
 

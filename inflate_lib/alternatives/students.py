@@ -54,8 +54,7 @@ def tuned_file(path: Path, teacher: TrainedModel, recipe: Recipe, data) -> Path:
 
     def make(target, scratch):
         surrogate = judge_of(data, recipe)
-        loss = critic(surrogate, student, pairs.descriptor)
-        how = [options[name] for name in ("steps", "weight", "energy")]
+        loss, how = critic(surrogate, student, pairs.descriptor), (options["steps"], options["weight"])
         tune(student, teacher, loss, *pairs.pairs, *how, scratch, f"{pairs.descriptor}").save(target)
 
     key = pairs.about | {"student": student.fingerprint, "tuning": options, "code": step_version("alternative")}

@@ -6,9 +6,7 @@ answer at once. It learns from the noisy images that the teacher learned from, e
 
 A student draws in a few steps, which is cheap enough to *tune* it on what it draws: a critic, such as a surrogate of
 the simulation, says how far a drawing is from its target, and the gradient is taken back through the last steps of the
-sampler (Clark et al. 2024). The paper leaves such a descriptor loss to future work (sec. 5). A critic alone is content
-with one good drawing for each target; the *energy score* (Gneiting and Raftery 2007) of two drawings and the real image
-asks besides that drawings for one target differ as much as real structures do.
+sampler (Clark et al. 2024). The paper leaves such a descriptor loss to future work (sec. 5).
 """
 
 import copy
@@ -25,13 +23,12 @@ from inflate_lib.diffusion.config import TrainingConfig
 from inflate_lib.diffusion.model import TrainedModel
 from inflate_lib.diffusion.randomness import random_generator
 from inflate_lib.diffusion.sampling import denoise
-from inflate_lib.diffusion.training import Run, to_network
+from inflate_lib.diffusion.training import Run
 
 _SLOWER = 0.5  # the student's learning rate, of the teacher's: it starts near its goal
 _SLOWEST = 0.2  # the same for tuning
 _TUNED_FOR = 5, 8, 12  # steps of the sampler, one after another
 _THROUGH = 2  # so many last steps the gradient goes back
-_SMALL = 1e-6  # keeps the gradient of a distance finite where it vanishes
 
 
 class _Distillation(Run):
@@ -59,28 +56,23 @@ class _Distillation(Run):
 
 
 class _Tuning(_Distillation):
-    """The loop of :func:`tune`: distillation goes on, and each step draws two images for each half of its targets."""
+    """The loop of :func:`tune`: distillation goes on, and each step draws a batch and asks the critic about it."""
 
     checkpoint = "tuning.safetensors"
 
-    def __init__(self, student, teacher, critic, weight, energy, images, conditions, config, folder):
+    def __init__(self, student, teacher, critic, weight, images, conditions, config, folder):
         super().__init__(teacher, images, conditions, config, folder)
         self.net.load_state_dict(student.net.state_dict())
         torch._foreach_copy_(self.ema, [p.detach() for p in self.parameters])
-        self.critic, self.weight, self.energy = critic, weight, energy
+        self.critic, self.weight = critic, weight
 
     def losses(self, rows: Tensor, y: Tensor, t: Tensor, dropped: Tensor, noise: Tensor) -> Tensor:
-        """Those of the distillation, and to the first what the critic and the energy score say of drawings."""
+        """Those of the distillation, and to the first what the critic says of a drawing for each target."""
         loss, *parts = super().losses(rows, y, t, dropped, noise)
-        some = math.ceil(len(y) / 2)
-        wanted = y[:some].repeat(2, 1)
-        drawings = self.drawings(wanted)
-        missed = self.critic(drawings, wanted).mean()
-        score = energy_score(drawings[:some], drawings[some:], to_network(self.images[rows[:some]])).mean()
-        return torch.stack([loss + len(y) * (self.weight * missed + self.energy * score), *parts])
+        return torch.stack([loss + self.weight * self.missed(y).sum(), *parts])
 
-    def drawings(self, y: Tensor) -> Tensor:
-        """A drawing (n, 1, h, w) for each of the targets (n, N)."""
+    def missed(self, y: Tensor) -> Tensor:
+        """What the critic says, (n,), of one drawing for each of the targets (n, N)."""
         n, steps, size = len(y), _TUNED_FOR[self.step % len(_TUNED_FOR)], self.images.shape[1:]
         generator = random_generator(self.config.seed, 8, self.step)
         w = (torch.rand(n, generator=generator) * math.log(self.config.strongest)).exp().to(self.device)
@@ -93,21 +85,8 @@ class _Tuning(_Distillation):
             with torch.set_grad_enabled(number > steps - _THROUGH):
                 return self.predict(x, t.to(self.device), y, None, w)
 
-        *_, drawings = denoise(predict, self.schedule, noise, self.config.objective, "dpm-solver++", steps)
-        return drawings
-
-
-def energy_score(one: Tensor, other: Tensor, real: Tensor) -> Tensor:
-    """How unlike the data drawings are, (n,): two for each target, beside the real image that has it, all (n, 1, h, w).
-
-    (‖x − x₀‖ + ‖x′ − x₀‖ − ‖x − x′‖) / 2 with the root mean square over pixels as norm. Its mean is smallest where x
-    and x′ are distributed as x₀ is (Gneiting and Raftery 2007, Eq. 22).
-    """
-
-    def distance(a, b):
-        return ((a - b).square().mean(dim=(1, 2, 3)) + _SMALL).sqrt()
-
-    return (distance(one, real) + distance(other, real) - distance(one, other)) / 2
+        *_, drawing = denoise(predict, self.schedule, noise, self.config.objective, "dpm-solver++", steps)
+        return self.critic(drawing, y)
 
 
 def distil(
@@ -161,7 +140,6 @@ def tune(
     conditions: np.ndarray,
     steps: int,
     weight: float = 0.05,
-    energy: float = 0.5,
     folder: Path | None = None,
     progress: bool | str = True,
 ) -> TrainedModel:
@@ -180,8 +158,6 @@ def tune(
         Training steps.
     weight : float
         Of what the critic says, beside the loss of the distillation.
-    energy : float
-        Weight of the :func:`energy_score`.
     folder, progress
         As there.
 
@@ -192,8 +168,7 @@ def tune(
     """
     budget = replace(student.config, steps=steps, epochs=None, checkpoint_every=None)
     budget = replace(budget, learning_rate=_SLOWEST * teacher.config.learning_rate, learning_rate_decay="cosine")
-    run = _Tuning(student, teacher, critic, weight, energy, images, conditions, budget, folder)
+    run = _Tuning(student, teacher, critic, weight, images, conditions, budget, folder)
     run.run(f"{progress}, tuning" if isinstance(progress, str) else progress)
-    how = {"steps": steps, "weight": weight, "energy": energy, "loss": run.history["loss"][-1], **run.spent()}
-    metadata = student.metadata | {"tuning": how}
-    return replace(run.model(), config=student.config, history=student.history, metadata=metadata)
+    about = {"tuning": {"steps": steps, "weight": weight, "loss": run.history["loss"][-1], **run.spent()}}
+    return replace(run.model(), config=student.config, history=student.history, metadata=student.metadata | about)

@@ -105,7 +105,7 @@ def simple_loss(
     images, conditions = _checked(images, conditions, model.config)
     errors = []
     for first in range(0, len(images), 256):
-        x0 = to_network(torch.from_numpy(images[first : first + 256]))
+        x0 = _to_network(torch.from_numpy(images[first : first + 256]))
         y = torch.from_numpy(model.scaled(conditions[first : first + 256])).float()
         generator = random_generator(seed, 4, first)
         t = torch.randint(model.config.T, (timestep_draws, len(x0)), generator=generator).amax(0)
@@ -132,7 +132,7 @@ def losses_in_time(
     """
     images, checked = _checked(images, np.zeros(len(images)) if conditions is None else conditions, model.config)
     y = None if conditions is None else torch.from_numpy(model.scaled(checked)).float()
-    x0 = to_network(torch.from_numpy(images))
+    x0 = _to_network(torch.from_numpy(images))
     losses = []
     for time_step in times:
         noise = torch.randn(x0.shape, generator=random_generator(seed, 6, int(time_step)))
@@ -240,7 +240,7 @@ class Run(Loop):
 
     def losses(self, rows: Tensor, y: Tensor, t: Tensor, dropped: Tensor, noise: Tensor) -> Tensor:
         """Hybrid loss, its simple and its vlb part, summed over some rows of a batch."""
-        x0 = to_network(self.images[rows])
+        x0 = _to_network(self.images[rows])
         x = process.add_noise(self.schedule, x0, t, noise)
         t = t.to(self.device)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16):
@@ -268,7 +268,7 @@ class Run(Loop):
         return TrainedModel(net, self.config, self.low, self.high, size, self.history, self.spent())
 
 
-def to_network(images: Tensor) -> Tensor:
+def _to_network(images: Tensor) -> Tensor:
     """Images (n, h, w), uint8 or float in [0, 1] → (n, 1, h, w) float32 in [−1, 1]."""
     scale = 127.5 if images.dtype == torch.uint8 else 0.5
     return images[:, None].float() / scale - 1

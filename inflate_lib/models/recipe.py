@@ -37,8 +37,7 @@ _INTERACTIVE = "interactive"  # the profile of such a notebook
 #: What structures are drawn for: ``sampling`` says how for the first, ``samplers`` may for the others.
 PURPOSES = ("faithful", "varied", "quick")
 _STUDENT = ("strongest", "distillation_steps")
-#: And their defaults.
-_TUNING = {"steps": 1000, "weight": 0.05, "energy": 0.5, "blends": 30_000, "surrogate_steps": 6000}
+_TUNING = {"steps": 1000, "weight": 0.05, "blends": 30_000, "surrogate_steps": 6000}  # and their defaults
 #: What is checked of each option of sampling; `generate` itself checks the rest.
 _SAMPLING = {
     "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
@@ -79,9 +78,9 @@ class Recipe:
         Options of :class:`inflate_lib.diffusion.TrainingConfig` for a student: ``strongest``, ``distillation_steps``.
         Empty: there is none.
     tuning : Mapping
-        How the student is tuned (:func:`inflate_lib.diffusion.distillation.tune`): ``steps``, ``weight`` and ``energy``
-        there; ``blends`` and ``surrogate_steps``, with which the surrogate is trained that judges it; ``steps_of`` as
-        for training. Empty: it is not.
+        How the student is tuned (:func:`inflate_lib.diffusion.distillation.tune`): ``steps`` and ``weight`` there;
+        ``blends`` and ``surrogate_steps``, with which the surrogate is trained that judges it; ``steps_of`` as there.
+        Empty: it is not.
     """
 
     source: str
@@ -107,8 +106,7 @@ class Recipe:
         _check_names("student", self.student, _STUDENT)
         _check_names("tuning", self.tuning, (*_TUNING, "steps_of"))
         for name, value in self.tuned().items():
-            weighs = name in ("weight", "energy")
-            positive_number(f"tuning.{name}", value) if weighs else whole_number(f"tuning.{name}", value, 1)
+            positive_number(f"tuning.{name}", value) if name == "weight" else whole_number(f"tuning.{name}", value, 1)
         if self.tuning and not self.student:
             raise ValueError("tuning: there is no student to tune; give the section student as well")
         _check_names("samplers", self.samplers, PURPOSES[1:])

@@ -73,9 +73,10 @@ def test_a_correction_removes_most_of_a_small_error(trained):
         assert missed.median() < 0.002 and missed.max() <= 0.02
 
 
-def test_no_strength_is_plain_sampling(model, trained):
+@pytest.mark.parametrize("sampler", ["ddim", "dpm-solver++"])
+def test_no_strength_is_plain_sampling(model, trained, sampler):
     told = np.linspace(1.1, 1.4, 5)[:, None]
-    model = model.sampled(steps=4, guidance=2.0)
+    model = model.sampled(sampler=sampler, steps=4, guidance=2.0)
     plain = generate(model.trained, told, 3, **model.sampling)
     assert np.array_equal(steer(model, told, told, trained, 0.0, 3), plain)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, cosine_schedule, generate, process, train
-from inflate_lib.diffusion.distillation import distil, energy_score, tune
+from inflate_lib.diffusion.distillation import distil, tune
 from inflate_lib.diffusion.loop import Loop
 from inflate_lib.diffusion.sampling import guided
 
@@ -143,33 +143,9 @@ def test_an_interrupted_tuning_goes_on_where_it_was(teacher, student, tmp_path, 
             raise KeyboardInterrupt
         advance(run)
 
-    given = student, teacher, miss, *bars(), 14, 0.1, 0.5
+    given = student, teacher, miss, *bars(), 14, 0.1
     with monkeypatch.context() as patch:
         patch.setattr(Loop, "advance", interrupted)
         with pytest.raises(KeyboardInterrupt):
             tune(*given, tmp_path, progress=False)
     assert same(tune(*given, tmp_path, progress=False), tune(*given, None, progress=False))
-
-
-def test_the_energy_score_is_lowest_for_drawings_that_vary_as_the_data_do():
-    """Of normal pixels that may be shifted, and scatter too little or too much; for equal images it vanishes."""
-    one, other, real = torch.randn((3, 4000, 1, 4, 4), generator=torch.Generator().manual_seed(0))
-    true = energy_score(one, other, real).mean()
-    for spread, shift in ((0.7, 0.0), (1.4, 0.0), (1.0, 0.4)):
-        assert energy_score(shift + spread * one, shift + spread * other, real).mean() > 1.01 * true
-    assert energy_score(real, real, real).abs().max() < 1e-3
-
-
-def test_the_energy_score_draws_a_student_to_the_data(student, teacher):
-    """There is one bar of each height here, so that the score is lowest where exactly this bar is drawn."""
-
-    def unlike(model):
-        images, heights = bars()
-        drawn = generate(model, heights, sampler="dpm-solver++", steps=5, guidance=2.0, device="cpu")
-        return np.sqrt(((drawn - images) ** 2).mean(axis=(1, 2))).mean()
-
-    weak, strong = (
-        tune(student, teacher, lambda x, y: 0 * x.sum((1, 2, 3)), *bars(), 30, 0.1, energy, progress=False)
-        for energy in (0.01, 5.0)
-    )
-    assert unlike(strong) < 0.8 * unlike(weak)
