@@ -4,8 +4,9 @@
     python benchmarks/large.py 300000
 
 Up to 60,000 these are MNIST's training digits in the order of the files; what is beyond are blends of two of them,
-mirrored and moved (`inflate_lib.structures.Family`). Each size runs in a process of its own, with an empty cache that
-goes away afterwards. Sizes that were measured before stay in data/reference/large.csv.
+mirrored and moved (`inflate_lib.structures.Family`). Each size runs in a process of its own with a cache of its own,
+which goes away afterwards, unless --folder keeps it. Sizes that were measured before stay in data/reference/large.csv.
+The time of a run that went on after a kill is that of its last part only: measure it again for a time that counts.
 """
 
 import json
@@ -53,32 +54,35 @@ def measured(size):
 
 def main(
     sizes: Annotated[list[int], typer.Argument(help="Numbers of structures.")],
+    folder: Annotated[
+        Path | None, typer.Option(help="Keep the data sets there, and go on with those of a run that was killed.")
+    ] = None,
     inside: Annotated[bool, typer.Option("--inside", hidden=True)] = False,
 ):
     """Measure each size and add it to the table."""
     if inside:
-        row = measured(sizes[0])
-        Path(paths.CACHE, "row.json").write_text(json.dumps(row))
+        paths.CACHE.mkdir(parents=True, exist_ok=True)
+        (paths.CACHE / "row.json").write_text(json.dumps(measured(sizes[0])))
         return
     file, rows = paths.REFERENCE / "large.csv", []
-    for size in sizes:
-        with tempfile.TemporaryDirectory() as cache:
-            command = [sys.executable, __file__, "--inside", str(size)]
-            subprocess.run(command, check=True, env={**os.environ, "INFLATE_CACHE": cache})
-            rows.append(json.loads(Path(cache, "row.json").read_text()))
+    with tempfile.TemporaryDirectory() as elsewhere:
+        for size in sizes:
+            cache = (folder or Path(elsewhere)).absolute() / str(size)
+            if not (cache / "row.json").is_file():
+                command = [sys.executable, __file__, "--inside", str(size)]
+                subprocess.run(command, check=True, env={**os.environ, "INFLATE_CACHE": str(cache)})
+            rows.append(json.loads((cache / "row.json").read_text()))
     table = pd.DataFrame(rows)
     if file.is_file():
         before = pd.read_csv(file)
         table = pd.concat([before[~before.structures.isin(table.structures)], table])
     table = table.sort_values("structures")
-    each = {name: float(table[name].iloc[-1] / table.structures.iloc[-1]) for name in ("core seconds", "MB")}
     store(
         table,
         "large",
         "large.py",
         data="MNIST training digits; beyond 60,000 blends of two of them, mirrored and moved",
-        times=f"{CORES} processes, on a machine that had other work to do: core seconds count, wall clock is longer",
-        million={"hours of two cores": 1e6 * each["core seconds"] / CORES / 3600, "GB": 1e3 * each["MB"]},
+        times=f"{CORES} processes on a machine that had other work to do: core seconds count, wall clock is longer",
     )
 
 
