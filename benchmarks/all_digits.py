@@ -14,7 +14,15 @@ from scipy.sparse.linalg import splu
 from stored import store
 
 from inflate_lib import build_mesh, inflate, label_image, paths
-from inflate_lib.alternatives.all_digits import MET, compact, nearest_miss, reachable_area, save_compact, sizes_of
+from inflate_lib.alternatives.all_digits import (
+    MET,
+    compact,
+    nearest_miss,
+    reachable_area,
+    save_compact,
+    sizes_of,
+    stored_digits,
+)
 from inflate_lib.datasets import open_parts, simulated_digits
 from inflate_lib.mechanics.inflation import PRESSURE, assemble, build_system
 
@@ -55,6 +63,7 @@ def by_digit(table, seed=0):
         sizes, inflated = sizes_of(part), int(part.height.notnull().sum())
         rows.append({
             "digits": name, "structures": len(numbers), "inflated": inflated,
+            "no equilibrium": int((part.flaw == "no_equilibrium").sum()),
             "buildable %": 100 * float(part.buildable.mean()),
             **{one: float(part[one].median()) for one in ("height", "width", "hull_area", "bow")},
             "h / w": float((part.height / part.width).median()),
@@ -85,8 +94,8 @@ def positive_definite(sparse):
     return True
 
 
-def follow(label, longest=0.2, n_steps=600):
-    """The path of equilibrium of a structure by its arc length: pressure, height and stability of each state.
+def follow(label, longest=0.2, n_steps=150):
+    """The path of equilibrium of a structure by its arc length: pressure, height, mean sideways move, stability.
 
     Unknowns are the positions x of the free nodes, in sides, and the pressure p, as a share of the full one. The next
     state has to be in equilibrium, r(x, p) = 0, and the step's length along the path's direction is given.
@@ -136,7 +145,8 @@ def follow(label, longest=0.2, n_steps=600):
                     return rows
         at, length = new, min(1.5 * length, longest)
         stable = positive_definite(equations(at)[1])
-        rows.append({"pressure": at[-1] * PRESSURE, "height": float(positions[:, 1].max()), "stable": stable})
+        height, aside = positions[:, 1].max(), (positions - mesh.nodes)[:, 0].mean()
+        rows.append({"pressure": at[-1] * PRESSURE, "height": height, "aside": aside, "stable": stable})
     return rows
 
 
@@ -151,7 +161,7 @@ def main():
     save_compact(table, paths.REFERENCE / "all_digits.nc")
     size = (paths.REFERENCE / "all_digits.nc").stat().st_size
     note = {"data": data.attrs["source_description"], "bytes": size}
-    store(by_digit(table), "all_digits", "all_digits.py", axis_met=AXIS_MET, **note)
+    store(by_digit(stored_digits()), "all_digits", "all_digits.py", axis_met=AXIS_MET, **note)
 
     lost = np.flatnonzero((table.height.isnull() & (table.flaw == "no_equilibrium")).values)
     states = []

@@ -53,16 +53,16 @@ def plot_reach(table, few):
 
 
 def plot_snapping(followed):
-    """Height over pressure along each path of equilibrium; dotted where it is not stable."""
+    """How far structures have moved aside over the pressure, along their paths of equilibrium; dotted: not stable."""
     numbers = followed.structure.unique()
     rows = -(-len(numbers) // 5)
-    fig, axes = figure(rows, min(5, len(numbers)), height=1 + 3.8 * rows, squeeze=False, sharex=True, sharey=True)
+    fig, axes = figure(rows, min(5, len(numbers)), height=1 + 3.8 * rows, squeeze=False, sharex=True)
     for ax, number in zip(axes.flat, numbers, strict=False):
         part = followed[followed.structure == number]
-        share, height = part.pressure.values / PRESSURE, part.height.values
-        ax.plot(share, height, ":", color=COLOURS.target)
-        ax.plot(np.where(part.stable, share, np.nan), height, color=COLOURS.wall)
+        share, aside = part.pressure.values / PRESSURE, part.aside.values
+        ax.plot(share, aside, ":", color=COLOURS.target)
+        ax.plot(np.where(part.stable, share, np.nan), aside, color=COLOURS.wall)
         ax.set_title(f"no. {number}, a {part.digit.iloc[0]}")
     fig.supxlabel("pressure / full pressure", fontsize=9)
-    fig.supylabel("height $h$", fontsize=9)
+    fig.supylabel("mean move to the right", fontsize=9)
     return fig

@@ -107,4 +107,4 @@ def test_the_stored_paths_are_those_of_all_structures_without_an_equilibrium():
     table, followed = stored_digits(), pd.read_csv(paths.REFERENCE / "snapping.csv")
     assert set(followed.structure) == set(np.flatnonzero(table.flaw == "no_equilibrium"))
     for _, path in followed.groupby("structure"):
-        assert path.pressure.diff().abs().max() < 0.1 * PRESSURE and path.height.diff().abs().max() < 0.1
+        assert path.pressure.diff().abs().max() < 0.2 * PRESSURE and path.height.diff().abs().max() < 0.1
