@@ -8,6 +8,7 @@ import pytest
 import svgpathtools
 import trimesh
 import xarray as xr
+from inflate_lib.mechanics.reference import tube
 from scipy.spatial import cKDTree
 
 from inflate_lib import describe, inflate, label_image
@@ -19,7 +20,6 @@ from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.mechanics import Mesh, find_flaw
 from inflate_lib.mechanics.inflation import LAMBDA, MU
 from inflate_lib.mechanics.mesh import boundary_loops
-from inflate_lib.mechanics.reference import tube
 from inflate_lib.structures.labels import FRAME, PIXEL, VOID, WALL
 from inflate_lib.structures.sources import load_sevens
 
