@@ -52,6 +52,7 @@ def test_the_command_writes_all_its_files(structure, tmp_path):
     assert (out / "design_01" / "mould.stl").is_file()
 
 
+@pytest.mark.slow
 def test_its_borders_can_be_smooth(structure, tmp_path):
     cavity, shape = structure
     file, out = tmp_path / "structure.json", tmp_path / "designs"
