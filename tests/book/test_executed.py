@@ -42,6 +42,7 @@ OF_CI = {
     "09_training": {"n_parameters": (369721, 0)},
     "22_explorer": {"n_targets": (37, 0)},
     "23_extending": {"n_learned": (300, 0)},
+    "24_all_digits": {"n_lost": (11, 0), "n_through": (5, 0)},
 }
 
 #: The same, where the sevens are MNIST's.
@@ -66,6 +67,7 @@ OF_MNIST = {
     "15_baselines": {"here_retrieval": (0.0021771069, 1e-6)},
     "18_design": {"reach_height": (1.4867695172, 1e-8)},
     "21_speed": {"factorisations_ten": (184, 0.02), "factorisations_one": (104, 0.04)},
+    "24_all_digits": {"slimmest": (1.6043243, 1e-6)},
 }
 
 

@@ -12,6 +12,7 @@ from inflate_lib.mechanics.reference import tube
 from scipy.spatial import cKDTree
 
 from inflate_lib import describe, inflate, label_image
+from inflate_lib.alternatives.reference import tube
 from inflate_lib.inverse.constraints import Constraints, mirrored
 from inflate_lib.inverse.save import save_designs
 from inflate_lib.inverse.search import Design, Designs, Stop, design, with_smooth_borders
