@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 GAP = 0.1  # at which walls begin to push, in lengths of the shortest edge of the boundary: a tenth of a pixel
 STIFFNESS = 0.1  # κ, in units of μ: the pressure between walls that are about half a gap apart
-_PATIENCE = 100  # factorisations before a push is tried
+_PATIENCE = 100  # factorisations before a stronger push is tried
+_PUSHES = 0.0, 0.01, 0.1, 0.3  # at random, in gaps, that a load step which fails begins with
 _COUPLED = 5.0  # gaps within which the pattern couples nodes and edges, so that it is seldom made anew
 
 
@@ -188,16 +189,15 @@ def keep_apart(build, walls, displacement, pressures, allowed):
     if first < 0 and len(displacement) == len(pressures):
         return displacement, 0, 0
     found, pressures = list(shapes if first < 0 else shapes[:first]), np.array([0.0, *pressures])
-    factorisations, why, near, couplings, shaken = 0, 0, found[-1], (), 0
+    factorisations, why, near, couplings, tries = 0, 0, found[-1], (), 0
     # Where a node is exactly before a node, as in symmetric structures, it is on a ridge: a push, and it finds a side.
-    shake = 0.01 * walls.gap * np.random.default_rng(0).uniform(-1, 1, rest.shape)
-    while len(found) < len(pressures) and factorisations < allowed:
+    push = walls.gap * np.random.default_rng(0).uniform(-1, 1, rest.shape)
+    while len(found) < len(pressures) and factorisations < allowed and tries < len(_PUSHES):
         system, couplings = coupled_system(build, walls, near, couplings)
         at, walls.x[:] = len(found), rest
-        start = found[-1] + (shake if shaken == at else 0.0)
-        left = allowed - factorisations if shaken == at else min(allowed - factorisations, _PATIENCE)
+        start = (found[-1] + _PUSHES[tries] * push)[system.order].ravel()
         moved, reached, spent, why = _kernels.march(
-            system, _kernels.State.of(system), pressures[at:], left, walls, start[system.order].ravel(),
+            system, _kernels.State.of(system), pressures[at:], min(allowed - factorisations, _PATIENCE), walls, start,
             pressures[at - 1],
         )  # fmt: skip
         for free in moved[[*range(reached), -1]]:
@@ -205,7 +205,5 @@ def keep_apart(build, walls, displacement, pressures, allowed):
             found[-1][system.order] = free.reshape(-1, 2)
         near, factorisations = found.pop(), factorisations + spent
         if why != _kernels.UNCOUPLED:
-            if shaken == len(found):
-                break
-            shaken, near = len(found), found[-1]
+            near, tries = found[-1], tries + 1 if len(found) == at else 1
     return np.array(found[1:]).reshape(-1, *rest.shape) - rest, factorisations, why

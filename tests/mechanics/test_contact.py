@@ -6,11 +6,12 @@ from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from mechanics_peers import places, random_label
 from scipy import sparse
 
-from inflate_lib import describe, inflate, label_image
+from inflate_lib import describe, inflate, label_image, paths
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.mechanics import _barrier, contact
 from inflate_lib.mechanics.adjoint import sensitivities
@@ -22,7 +23,7 @@ from inflate_lib.mechanics.contact import (
     self_contact,
     walls_of,
 )
-from inflate_lib.mechanics.inflation import assemble, build_system, equilibrium
+from inflate_lib.mechanics.inflation import assemble, build_system, equilibrium, solve
 from inflate_lib.mechanics.mesh import Mesh, boundary_edges
 from inflate_lib.structures.sources import load_sevens
 
@@ -326,6 +327,59 @@ def test_blocks_that_are_pulled_together_press_as_they_must(n_lower, n_upper):
         assert np.abs(result.displacement[-1][face, 1] - 0.05).max() < gap
     assert errors[-1] < (lam + 2 * mu) * gap / 2 / pressure  # they are stretched by less than a gap too little
     assert all(1.5 < a / b < 2.5 for a, b in pairwise(errors))  # the gap's own thickness
+
+
+def test_a_thin_ring_closes_on_itself_at_the_pressure_of_the_elastica():
+    """Under a pressure p from outside its opposite sides meet at p = 5.247 D/R³ (Flaherty, Keller, Rubinow 1972)."""
+    thickness, around, through, (lam, mu) = 0.02, 720, 6, (16.44, 0.1644)
+    angle = 2 * np.pi * np.arange(around) / around
+    radius = 1 + 0.002 * np.cos(2 * angle)[:, None] + thickness * np.linspace(-0.5, 0.5, through + 1)
+    number = np.arange(radius.size).reshape(radius.shape)
+    after = np.roll(number, -1, axis=0)
+    cells = np.stack([number[:, :-1], number[:, 1:], after[:, 1:], after[:, :-1]], -1).reshape(-1, 4)
+    nodes = np.stack([radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]], -1).reshape(-1, 2)
+    middle, held = number[:, through // 2], np.zeros((radius.size, 2), dtype=bool)
+    held[number[:: around // 2], 1] = held[number[around // 4 :: around // 2], 0] = True  # lines of symmetry
+    mesh = Mesh(nodes, cells, np.column_stack([middle, np.roll(middle, -1)]), held)
+    stiffness = 4 * mu * (lam + mu) / (lam + 2 * mu) * thickness**3 / 12  # D, in plane strain
+    loads = np.array([1.5, 2.5, *np.linspace(2.8, 3.6, 9), 4.3, 5.0, 5.5, 6.0])
+    result = inflate(mesh, pressure=-loads * stiffness, lame=(lam, mu), contact=0.1 * thickness)
+    assert (
+        result.converged and first_contact(result) is None and first_contact(inflate(mesh, pressure=-loads * stiffness))
+    )
+    before, first, second = (np.abs(contact_forces(result, step)[:, 1]).sum() for step in (-3, -2, -1))
+    assert before == 0 < first
+    touch = loads[-2] - first * (loads[-1] - loads[-2]) / (second - first)
+    assert touch == pytest.approx(5.247, rel=0.02)
+
+
+def test_contact_against_another_solver():
+    """GetFEM has contact by an augmented Lagrangian: as the gap shrinks, the arch goes to its result."""
+    table = pd.read_csv(paths.REFERENCE / "contact_getfem.csv")
+    table = table[table.structure == "arch"].sort_values("gap (pixels)")
+    apart = []
+    for row in table.itertuples():
+        shape = describe(inflate(arch(), contact=row[2] / 28))
+        apart.append(abs(shape.width / row.width - 1))
+    assert apart[0] < 2e-5 and np.all(np.diff(apart) > 0)
+
+
+def test_newton_keeps_its_quadratic_rate_in_contact():
+    """From nodes that are off by up to a third of the gap: each error is at most four times the square of the last."""
+    result = inflate(blocks(5, 3), pressure=-0.3, lame=(1.0, 1.0), contact=0.02)
+    truth, walls = result.deformed(), walls_of(result.mesh, result.gap, 1.0)
+    system, _ = coupled_system(lambda pairs: build_system(result.mesh, "mean-dilatation", (1, 1), pairs), walls, truth)
+    shift = 0.3 * result.gap * np.random.default_rng(0).uniform(-1, 1, (len(system.order), 2))
+    shift[: len(system.pinned)][system.pinned] = 0
+    x, errors = truth.copy(), []
+    x[system.order] += shift
+    for _ in range(6):
+        errors.append(np.abs(x - truth).max() / result.gap)
+        state, load = assemble(system, x, result.pressures[-1], walls), np.zeros_like(x)
+        load[system.order] = -state.residual.reshape(-1, 2)
+        x += solve(system, state, load)
+    assert errors[0] > 0.2 and errors[-1] < 1e-11
+    assert all(b < 4 * a**2 + 1e-11 for a, b in pairwise(errors))
 
 
 def test_a_cavity_can_be_sucked_shut():
