@@ -304,7 +304,7 @@ def _write_design(one, folder, name, designs, size_mm, depth_mm):
             "frame": size_mm,
             "depth": depth_mm,
             "base of the mould": _BASE_MM,
-            "wall": size_mm * THICKNESS / FRAME,
+            "least wall": size_mm * THICKNESS / FRAME,
         },
         "search": _search_record(designs),
     }

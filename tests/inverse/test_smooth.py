@@ -134,7 +134,7 @@ def test_they_inflate_to_the_targets_again(found):
 def test_what_is_written_is_what_was_inflated(found, tmp_path):
     _, _, folder, *_ = save_designs(found, tmp_path / "out", size_mm=56, depth_mm=10)
     one, record = found.designs[0], json.loads((folder / "design.json").read_text())
-    assert record["borders"] == "smooth" and record["millimetres"]["wall"] == 4
+    assert record["borders"] == "smooth" and record["millimetres"]["least wall"] == 4
     outer, cavity = (abs(signed_area(line)) for line in borders(one.plan))
 
     (path,), _ = svgpathtools.svg2paths(str(folder / "outline.svg"))
