@@ -1,4 +1,4 @@
-"""What a large data set costs: seconds, memory and bytes of 4,000 to 300,000 structures, kept in parts.
+"""What a large data set costs: seconds, memory and bytes of any number of structures, kept in parts.
 
     python benchmarks/large.py 4000 20000 60000
     python benchmarks/large.py 300000
