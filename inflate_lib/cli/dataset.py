@@ -34,7 +34,9 @@ def dataset(
         return
     text = "".join([digits, *(more or [])]).replace(",", "").replace(" ", "") or "7"
     if text != "all" and not text.isdecimal():
-        raise ValueError(f"--digits takes all, or digits such as 0 3 7, not {digits} {' '.join(more or [])}".rstrip())
+        raise ValueError(
+            f"--digits takes all, or digits such as 0 3 7, not {' '.join([digits, *(more or [])]).strip()}"
+        )
     wanted = text if text == "all" else [int(one) for one in text]
     files = simulated_digits(wanted, source, structures, test, blends, seed, *workers)
     size = sum(file.stat().st_size for file in files)

@@ -75,6 +75,11 @@ def design(
     if from_file is not None:
         if any(value is not None for value in asked):
             raise ValueError("--from takes its targets from the file: leave out --height, --width, --area and the like")
+        if min_void_mm or max_material_mm2 is not None or symmetric or keep_out_mm is not None or prefer is not None:
+            raise ValueError(
+                "--from carries on one drawing as it is: leave out --min-void-mm, --max-material-mm2, --symmetric, "
+                "--keep-out-mm and --prefer"
+            )
         _carry_on(from_file, out, tolerance, refine, seed, smooth, size_mm, depth_mm, overwrite)
         return
     unit = size_mm if outline_unit is None else outline_unit

@@ -33,7 +33,7 @@ def read_drawn(path: str | Path) -> tuple[np.ndarray, Targets | None]:
     path = Path(path)
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} cannot be read as JSON: {error}") from None
     if not isinstance(told, dict) or told.get("format") != _FORMAT:
         raise ValueError(f'{path} is none of the laboratory\'s files: its format is not "{_FORMAT}"')

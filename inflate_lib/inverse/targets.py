@@ -46,7 +46,7 @@ class Targets:
         For an unknown name, a value that is no target, or where nothing is asked for.
     """
 
-    def __init__(self, drawing: np.ndarray | None = None, **wanted: Any) -> None:
+    def __init__(self, drawing: np.ndarray | None = None, /, **wanted: Any) -> None:
         known = {one.name: one for one in basic()}
         if unknown := [name for name in wanted if name not in known]:
             raise ValueError(f"unknown target {unknown[0]!r}; choose among {', '.join(sorted(known))}")

@@ -77,6 +77,8 @@ def test_its_borders_can_be_smooth(structure, tmp_path):
         ({"settings": {"colour": "red"}}, "no such setting"),
         ({"targets": {"height": -1}}, "height must be"),
         ({"targets": {"beauty": 1}}, "unknown target"),
+        ({"targets": {"height": 1, "drawing": 5}}, "unknown target 'drawing'"),
+        ({"targets": {"self": 5}}, "unknown target 'self'"),
         ({"image": ["0" * 28] * 28}, "cannot be built"),
     ],
 )
@@ -88,7 +90,20 @@ def test_what_is_no_such_file_is_refused(structure, tmp_path, changes, message):
     assert "structure.json" in str(error.value)
 
 
-def test_what_is_no_json_is_refused(tmp_path):
-    (tmp_path / "file.json").write_text("{")
-    with pytest.raises(ValueError, match="cannot be read as JSON"):
+@pytest.mark.parametrize(
+    "options", [["--symmetric"], ["--keep-out-mm", "0", "0", "9", "9"], ["--prefer", "low-stress"]]
+)
+def test_demands_that_a_drawing_is_not_held_to_are_refused(structure, options, tmp_path):
+    file, out = tmp_path / "structure.json", tmp_path / "designs"
+    file.write_text(json.dumps(told(structure[0])))
+    done = CliRunner().invoke(_load_commands(), ["design", "--from", str(file), "--out", str(out), *options])
+    assert isinstance(done.exception, ValueError)
+    assert "leave out" in str(done.exception) and options[0] in str(done.exception)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("text", ["{", "[" * 100_000])
+def test_what_is_no_json_is_refused(text, tmp_path):
+    (tmp_path / "file.json").write_text(text)
+    with pytest.raises(ValueError, match=r"file\.json cannot be read as JSON"):
         read_drawn(tmp_path / "file.json")
