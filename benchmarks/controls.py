@@ -20,7 +20,6 @@ from scipy.stats import spearmanr
 from stored import store
 
 from inflate_lib._cache import cached, code_version, digest, step_version
-from inflate_lib.alternatives.steering import run_steered, steer
 from inflate_lib.alternatives.surrogate import train_surrogate
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import describe, descriptor_matrix, get_descriptor
@@ -77,9 +76,8 @@ class Study:
         calibrations = {} if calibration is None else {DESCRIPTOR: calibration}
         model = replace(self.model.sampled(guidance=guidance), calibrations=calibrations)
         if strength:
-            answer = run_steered(model, self.targets, self.surrogate, strength, n, self.seed, n_jobs=1)
-        else:
-            answer = run_experiment(model, self.targets, n, self.seed, n_jobs=1, extrapolate=True)
+            model = model.steered(self.surrogate, strength)
+        answer = run_experiment(model, self.targets, n, self.seed, n_jobs=1, extrapolate=True)
         return answer, self.clocks()[f"{guidance:g}, {strength:g}"]
 
     def clocks(self):
@@ -110,9 +108,8 @@ class Study:
         y = np.resize(self.targets, (TIMED, 1))
         start = time.process_time()
         if strength:
-            images = steer(model, y, y, self.surrogate, strength, self.seed)
-        else:
-            images = generate(model.trained, y, self.seed, **model.sampling)
+            model = model.steered(self.surrogate, strength)
+        images = generate(model.trained, y, self.seed, **model.sampling)
         drawn = time.process_time()
         self.surrogate.predict(images, DESCRIPTOR)
         asked = time.process_time()

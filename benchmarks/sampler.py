@@ -29,7 +29,6 @@ from stored import seconds, store
 from inflate_lib import paths
 from inflate_lib._cache import step_version
 from inflate_lib.alternatives.ablation import measures
-from inflate_lib.alternatives.steering import run_steered, steer
 from inflate_lib.alternatives.students import judge_of
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_sevens
@@ -131,6 +130,7 @@ def main():
         usual = [name for name in ways if given.students or name in MAIN or descriptor in given.thorough]
         for name in given.only or [name for name in usual if name != PAPER]:
             way, n_calibration = model.sampled(**ways[name]), 0 if name == PAPER else recipe.n_calibration
+            way = way.steered(judge) if judge else way
             row = {"descriptor": descriptor, "way": name, "evaluations": evaluations(way, targets[0])}
             if given.students:
                 tuned = "tuned" if "tuning" in model.trained.metadata else "distilled"
@@ -143,8 +143,6 @@ def main():
                 way = replace(way, calibrations={descriptor: fit})
 
             def ask(targets, n, seed, way=way):
-                if judge:
-                    return run_steered(way, targets, judge, 1.0, n, seed, n_jobs=1)
                 return run_experiment(way, targets, n, seed, n_jobs=1, extrapolate=True)
 
             row |= measures(ask(wanted, 1, held_out_seed(given.seed)), descriptor, data, given.seed)
@@ -160,7 +158,7 @@ def main():
             far = novelty(alike["image"].values, data, known)[0].reshape(len(three), ALIKE)
             row["novelty"] = np.median(far, axis=1).mean() / yardstick
             some = {"targets": np.repeat(three, TIMED // len(three) + 1, axis=0)[:TIMED]}
-            spent, _ = seconds(lambda way=way, some=some: draw(way, some["targets"], judge))
+            spent, _ = seconds(lambda way=way, some=some: draw(way, some["targets"]))
             rows.append(row | {"ms": 1000 * spent / TIMED})
             print(f"{time.monotonic() - started:.0f} s: {rows[-1]}", flush=True)
     table, remark, name = pd.DataFrame(rows), "", "sampler_students" if given.students else "sampler"
@@ -184,10 +182,8 @@ def main():
     )
 
 
-def draw(model, targets, judge=None):
+def draw(model, targets):
     """The drawing alone, to time it."""
-    if judge:
-        return steer(model, targets, targets, judge)
     return generate(model.trained, targets, seed=0, **model.sampling)
 
 

@@ -1,4 +1,4 @@
-"""What else could be done: chance, retrieval, an autoencoder, a surrogate, steering, best of many, other recipes."""
+"""What else could be done: chance, retrieval, an autoencoder, a surrogate, best of many, other recipes."""
 
 from typing import TYPE_CHECKING
 
@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from inflate_lib.alternatives.autoencoder import run_autoencoder, train_autoencoder
     from inflate_lib.alternatives.best_of import selection
     from inflate_lib.alternatives.retrieval import random_structures, retrieved_structures
-    from inflate_lib.alternatives.steering import steer
     from inflate_lib.alternatives.surrogate import train_surrogate
 
 __all__ = [
@@ -17,7 +16,6 @@ __all__ = [
     "retrieved_structures",
     "run_autoencoder",
     "selection",
-    "steer",
     "train_autoencoder",
     "train_surrogate",
     "training_variants",

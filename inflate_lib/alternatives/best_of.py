@@ -16,12 +16,12 @@ from scipy.special import comb
 
 from inflate_lib._cache import cached, step_version
 from inflate_lib._checks import whole_number
-from inflate_lib.alternatives.surrogate import Surrogate
 from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.experiments.metrics import bootstrap, misses
 from inflate_lib.experiments.run import model_digest
+from inflate_lib.models.surrogate import Surrogate
 
 
 def chances(n_candidates, n):

@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from inflate_lib._cache import cached, step_version
-from inflate_lib.alternatives.surrogate import Surrogate, blends_of, critic, train_surrogate
+from inflate_lib.alternatives.surrogate import blends_of, train_surrogate
 from inflate_lib.descriptors.registry import JOINT
 from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.distillation import distil, tune
 from inflate_lib.models.recipe import Recipe
+from inflate_lib.models.surrogate import Surrogate, critic
 from inflate_lib.models.train import training_set
 
 

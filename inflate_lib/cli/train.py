@@ -28,7 +28,7 @@ def train(
     A machine that has little but PyTorch: --pack pairs.safetensors, and there python -m inflate_lib.models.remote …
     """
     paths.need_checkout("inflate train")
-    from inflate_lib.alternatives.students import student_file
+    from inflate_lib.alternatives.students import judge_of, student_file
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
     from inflate_lib.diffusion import ranks, storage
@@ -37,7 +37,7 @@ def train(
     from inflate_lib.models import train
     from inflate_lib.models.reach import check_reach_file, save_reach
     from inflate_lib.models.recipe import load_recipe
-    from inflate_lib.models.weights import STUDENTS
+    from inflate_lib.models.weights import STUDENTS, SURROGATE
 
     if pack is not None and (steps, out, log) != (None, None, None):
         raise ValueError("--pack trains nothing: leave out --steps, --out and --log")
@@ -82,6 +82,8 @@ def train(
                 if recipe.student:
                     student = student_file(out / f"{name}.safetensors", recipe, data)
                     text += "\n" + _export(student, name, told, out / STUDENTS)
+                if recipe.tuning:
+                    judge_of(data, recipe).save(out / STUDENTS / f"{SURROGATE}.safetensors")
                 try:
                     calibrate_weights(out, data, recipe, [name])
                 except ValueError as error:  # it can be used all the same, told the target itself

@@ -1,9 +1,11 @@
 """A trained denoiser with everything needed to use it, and the one file it is kept in."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from torch import Tensor
 
 from inflate_lib.diffusion import storage
 from inflate_lib.diffusion.config import TrainingConfig
@@ -17,6 +19,8 @@ class TrainedModel:
 
     ``condition_min`` and ``condition_max`` (N,) are the range of the training descriptors, in raw units; ``history``
     holds lists ``step``, ``loss``, ``simple``, ``vlb``; ``metadata`` is free for the caller (JSON).
+    ``judge(x0, y)``, which is not stored, tells what to add to clean images (n, 1, h, w) in [−1, 1] for the scaled
+    descriptors (n, N).
     """
 
     net: UNet
@@ -26,6 +30,7 @@ class TrainedModel:
     image_size: tuple[int, int] = (28, 28)
     history: dict[str, list] = field(default_factory=dict)
     metadata: dict = field(default_factory=dict)
+    judge: Callable[[Tensor, Tensor], Tensor] | None = field(default=None, repr=False, compare=False)
 
     @property
     def schedule(self) -> Schedule:

@@ -145,6 +145,7 @@ def generate(
     guided_from: float = 0.0,
     guided_to: float = 1.0,
     crowding: float = 1.0,
+    steering: float = 0.0,
     batch_size: int = 256,
     trajectory: list | None = None,
     device: str = "auto",
@@ -174,6 +175,9 @@ def generate(
         Guide at times t/T between these two alone; elsewhere w = 1, which costs half (Kynkäänniemi et al. 2024).
     crowding : float
         1 spaces the steps evenly; above it they crowd near the image, below it near the noise.
+    steering : float
+        Strength γ of the corrections of the model's ``judge``; 0 is without. Each estimate x̂₀ of the clean image
+        becomes x̂₀ + γ ᾱ · judge(x̂₀, y): little where it is still a blur, all where the noise is gone.
     batch_size : int
         Structures denoised at a time.
     trajectory : list, optional
@@ -202,6 +206,10 @@ def generate(
     whole_number("start", start, 0)
     whole_number("steps", steps, 1)
     positive_number("crowding", crowding)
+    number("steering", steering, least=0)
+    judge = model.judge
+    if steering and judge is None:
+        raise ValueError("steering: this model has no judge to steer it")
     if model.config.strongest and not 1 <= guidance <= model.config.strongest:
         raise ValueError(
             f"guidance must be from 1 to {model.config.strongest:g}, which is what this model was told in training, "
@@ -215,9 +223,10 @@ def generate(
         rows = range(first, min(first + batch_size, len(scaled)))
         y = scaled[rows.start : rows.stop].to(place)
 
-        def predict(x, t, y=y):
+        def predict(x, t, y=y, judge=judge):
             inside = guided_from <= (t[0].item() + 1) / len(model.schedule) <= guided_to
-            return guided(net, x, t.to(place), y, guidance if inside else 1)
+            answer = guided(net, x, t.to(place), y, guidance if inside else 1)
+            return _corrected(model, x, t, answer, lambda x0: steering * judge(x0, y)) if steering else answer
 
         with torch.inference_mode():
             noise = noise_images(seed, range(start + rows.start, start + rows.stop), size, place)
@@ -233,6 +242,16 @@ def generate(
     if trajectory is not None:
         trajectory.extend(merged)
     return merged[-1].clip(0, 1) if merged else np.empty((0, *size), np.float32)
+
+
+def _corrected(model: TrainedModel, x: Tensor, t: Tensor, answer: Tensor, correction: Callable) -> Tensor:
+    """The network's answer as it would be for a corrected estimate of the clean image: noise and velocity are both
+    linear in it."""
+    objective, alpha_bar = model.config.objective, at(model.schedule.alpha_bars, t, x)
+    x0 = process.predicted_x0(model.schedule, x, t, answer, objective).clamp(-1, 1)
+    x0 = x0 + alpha_bar * correction(x0)
+    noise = (x - alpha_bar.sqrt() * x0) / (1 - alpha_bar).sqrt()
+    return noise if objective == "epsilon" else alpha_bar.sqrt() * noise - (1 - alpha_bar).sqrt() * x0
 
 
 def noise_images(seed: int, rows: range, size: tuple[int, int], device: torch.device) -> Iterator[Tensor]:

@@ -86,6 +86,8 @@ def run_experiment(
 
     key = {"model": model_digest(model.trained), "objective": model.trained.config.objective, "told": digest(told)}
     key |= {"sampling": model.sampling, "seed": seed}
+    if model.sampling.get("steering"):
+        key["judge"] = getattr(model.trained.judge, "fingerprint", None)
     if stored is not None:
         key["images"] = digest(stored[0])
         print(f"structures from {stored[1]}: {descriptor}")

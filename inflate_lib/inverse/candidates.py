@@ -7,12 +7,12 @@ chooses among them, in one and the same way: so the two can be compared, and can
 import numpy as np
 import xarray as xr
 
-from inflate_lib.alternatives.surrogate import centred
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.descriptors import Descriptors, descriptor_matrix, get_descriptor
 from inflate_lib.diffusion import generate
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.targets import Targets
+from inflate_lib.models.surrogate import centred
 from inflate_lib.models.weights import Model
 from inflate_lib.structures.labels import FRAME, OUTSIDE, VOID, WALL
 

@@ -20,7 +20,6 @@ from joblib import Parallel, delayed
 
 from inflate_lib import paths
 from inflate_lib._checks import choice, flag, positive_number, whole_number, workers
-from inflate_lib.alternatives.surrogate import centred
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_before, simulated_sevens
 from inflate_lib.descriptors import Descriptors, describe, get_descriptor
@@ -35,6 +34,7 @@ from inflate_lib.inverse.targets import Targets, as_targets, deviations
 from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.models.reach import check_reach
 from inflate_lib.models.recipe import load_recipe
+from inflate_lib.models.surrogate import centred
 from inflate_lib.models.weights import Model, load_model, trained_models
 
 _PREFERENCES = ("low-stress", "high-stress")

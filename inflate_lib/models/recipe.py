@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 EDITION = "laptop"  # the profile of the published book, whose recipe a notebook that was opened by hand has
 _INTERACTIVE = "interactive"  # the profile of such a notebook
 #: What structures are drawn for: ``sampling`` says how for the first, ``samplers`` may for the others.
-PURPOSES = ("faithful", "varied", "quick")
+PURPOSES = ("faithful", "varied", "quick", "steered")
 _STUDENT = ("strongest", "distillation_steps")
 _TUNING = {"steps": 1000, "weight": 0.05, "blends": 30_000, "surrogate_steps": 6000}  # and their defaults
 #: What is checked of each option of sampling; `generate` itself checks the rest.
@@ -47,6 +47,7 @@ _SAMPLING = {
     "guided_from": share,
     "guided_to": share,
     "crowding": positive_number,
+    "steering": partial(number, least=0),
 }
 
 
@@ -109,6 +110,8 @@ class Recipe:
             positive_number(f"tuning.{name}", value) if name == "weight" else whole_number(f"tuning.{name}", value, 1)
         if self.tuning and not self.student:
             raise ValueError("tuning: there is no student to tune; give the section student as well")
+        if not self.tuning and any(isinstance(way, Mapping) and way.get("steering") for way in self.samplers.values()):
+            raise ValueError("samplers: steering needs the surrogate of the section tuning")
         _check_names("samplers", self.samplers, PURPOSES[1:])
         for where, options in {"sampling": self.sampling, **self.samplers}.items():
             if not isinstance(options, Mapping):

@@ -20,9 +20,11 @@ from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.models import RETRAIN, reach
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.recipe import PURPOSES, Recipe
+from inflate_lib.models.surrogate import Judge, Surrogate
 from inflate_lib.models.train import train_models, training_set
 
 STUDENTS = "students"  # folder beside the weights, with those into which guidance was distilled
+SURROGATE = "surrogate"  # the file in that folder with the network that tuned them and steers them
 
 
 @dataclass(frozen=True)
@@ -108,15 +110,21 @@ class Model:
         """The same model with other options of sampling, for which it is not calibrated."""
         return replace(self, sampling={**self.sampling, **changes}, calibrations={}, others={})
 
+    def steered(self, surrogate: Surrogate, strength: float = 1.0) -> "Model":
+        """The same model, corrected by a surrogate of the simulation while it draws; for that it is not calibrated."""
+        judge = Judge(surrogate, self.trained, self.name)
+        return replace(self.sampled(steering=strength), trained=replace(self.trained, judge=judge))
+
     def made_for(self, purpose: str) -> "Model":
         """The model that draws for a purpose, with its sampling and calibrations; this one where there is no other.
 
         Parameters
         ----------
-        purpose : {"faithful", "varied", "quick"}
+        purpose : {"faithful", "varied", "quick", "steered"}
             As the experiments of the paper are made, which is how every model comes; with more steps, which draw more
-            various structures; or for designs, which inflate and refine whatever is drawn, with few. Where there is a
-            student (:mod:`inflate_lib.diffusion.distillation`), it answers for the last two.
+            various structures; for designs, which inflate and refine whatever is drawn, with few; or corrected by a
+            surrogate of the simulation, which comes nearest to the target. Where there is a student
+            (:mod:`inflate_lib.diffusion.distillation`), it answers for all but the first.
 
         Raises
         ------
@@ -275,6 +283,8 @@ def trained_models(names: Sequence[str], recipe: Recipe, data: xr.Dataset) -> di
         asked, made = _asked_for(found[name], TrainedModel.load(found[name])), {}
         for purpose, way in {"faithful": dict(recipe.sampling), **recipe.ways()}.items():
             one, about = asked.get(purpose, (asked.get("quick", asked["faithful"])[0], {}))
+            if way.get("steering") and one.judge is None:
+                continue
             made[purpose] = _model(name, one, {"sampling": way, "calibration": _stored(about, way, recipe)}, table)
         models[name] = replace(made.pop("faithful"), others=made)
     return models
@@ -295,6 +305,8 @@ def _asked_for(path, teacher):
     found["faithful"] = teacher, teacher.metadata
     file = path.parent / STUDENTS / path.name
     if file.is_file() and (student := TrainedModel.load(file)).metadata.get("teacher") == teacher.fingerprint:
+        if (judge := file.with_stem(SURROGATE)).is_file():
+            student.judge = Judge(Surrogate.load(judge), student, file.stem)
         known = {"quick": student.metadata, **student.metadata.get("samplers", {})}
         found |= {purpose: (student, about) for purpose, about in known.items()}
     return found

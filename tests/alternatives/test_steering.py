@@ -10,9 +10,8 @@ import torch
 from torch import nn
 
 from inflate_lib import paths
-from inflate_lib.alternatives.steering import _correction, steer
-from inflate_lib.alternatives.surrogate import Surrogate, centred, soft_label
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
+from inflate_lib.models.surrogate import Judge, Network, Surrogate, centred, soft_label
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.evaluation import plot_controls
 from inflate_lib.structures.labels import FRAME, label_image
@@ -62,39 +61,70 @@ def test_soft_labels_can_be_differentiated():
     assert torch.autograd.gradcheck(lambda x: soft_label(x).square().sum(dim=(1, 2)), images, fast_mode=True)
 
 
-def test_a_correction_removes_most_of_a_small_error(trained):
+def test_a_correction_removes_most_of_a_small_error(trained, model):
     """Less where it would take pixels brighter than white or darker than black, but then it does no harm."""
     x0 = 2 * torch.from_numpy(DIGITS[:6] / 255).float()[:, None] - 1
     now = trained.net(soft_label((x0[:, 0] + 1) / 2))[:, HEIGHT]
+    judge = Judge(trained, model.trained, "height")
     for sign in (-1, 1):
         wanted = now + sign * 0.02
-        after = (x0 + _correction(x0, wanted, trained, HEIGHT)).clamp(-1, 1)
+        after = (x0 + judge(x0, torch.from_numpy(model.trained.scaled(wanted.numpy())).float())).clamp(-1, 1)
         missed = (trained.net(soft_label((after[:, 0] + 1) / 2))[:, HEIGHT] - wanted).abs()
         assert missed.median() < 0.002 and missed.max() <= 0.02
 
 
+def drawn(model, told, seed, start=0):
+    return generate(model.trained, told, seed, start=start, **model.sampling)
+
+
+@pytest.mark.filterwarnings("ignore:.*outside the range")
 @pytest.mark.parametrize("sampler", ["ddim", "dpm-solver++"])
-def test_no_strength_is_plain_sampling(model, trained, sampler):
-    told = np.linspace(1.1, 1.4, 5)[:, None]
-    model = model.sampled(sampler=sampler, steps=4, guidance=2.0)
-    plain = generate(model.trained, told, 3, **model.sampling)
-    assert np.array_equal(steer(model, told, told, trained, 0.0, 3), plain)
-
-
-def test_steered_structures_come_nearer_to_what_the_surrogate_is_asked_for(model, trained):
-    told, model = np.full((6, 1), 1.2), model.sampled(steps=6)
+def test_a_steered_drawing_comes_nearer(model, trained, sampler):
+    """The same noise, steered to another brightness; each drawing depends on its own noise and target alone."""
+    plain = model.sampled(sampler=sampler, steps=8, guidance=1.0)
+    steered = plain.steered(trained)
+    told = np.full((6, 1), 1.2)
 
     def brightness(images):
-        return trained.net(soft_label(torch.from_numpy(images)))[:, 0].numpy()
+        with torch.no_grad():
+            return trained.net(soft_label(torch.from_numpy(images)))[:, 0].numpy()
 
-    plain = brightness(steer(model, told, told, trained, 0.0, 1))
-    wanted = (plain + 0.05)[:, None]
-    steered = steer(model, told, wanted, trained, 1.0, 1)
-    assert steered.shape == (6, FRAME, FRAME) and 0 <= steered.min() <= steered.max() <= 1
-    missed = np.abs(brightness(steered) - wanted[:, 0])
-    assert np.median(missed) < 0.5 * 0.05
-    again = steer(model, told[2:4], wanted[2:4], trained, 1.0, 1, start=2)
-    assert np.allclose(again, steered[2:4], atol=1e-5)
+    before = brightness(drawn(plain, told, 1))
+    wanted = (before + 0.05)[:, None]
+    images, again = drawn(steered, wanted, 1), drawn(steered, wanted[2:4], 1, start=2)
+    assert images.shape == (6, FRAME, FRAME) and 0 <= images.min() <= images.max() <= 1
+    assert np.median(np.abs(brightness(images) - wanted[:, 0])) < 0.5 * 0.05
+    assert np.allclose(again, images[2:4], atol=1e-5)
+    assert np.array_equal(drawn(plain.steered(trained, 0), told, 1), drawn(plain, told, 1))
+
+
+def test_what_is_withheld_does_not_steer(trained):
+    """Of a joint model; nor does a model without a judge."""
+    torch.manual_seed(0)
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=(1, 1))
+    joint = TrainedModel(config.make_net(2).eval(), config, np.array([1.0, 1.0]), np.array([1.5, 1.5]))
+    judge = Judge(trained, joint, "height+width")
+    x0 = 2 * torch.from_numpy(DIGITS[:3] / 255).float()[:, None] - 1
+    nothing, height, both = (torch.tensor([values] * 3) for values in ([np.nan] * 2, [0.3, np.nan], [0.3, 0.3]))
+    assert not judge(x0, nothing).any()
+    assert torch.allclose(judge(x0, height), judge(x0, both), atol=1e-5)  # its two answers are equal
+    with pytest.raises(ValueError, match="no judge"):
+        generate(joint, [[1.2, 1.2]], steering=1.0)
+
+
+def test_a_surrogate_is_kept_in_one_file(tmp_path):
+    net = Network(3, (4, 6, 8))
+    Surrogate(net, "height+width+area", np.arange(3.0), np.ones(3), 5.0).save(tmp_path / "surrogate.safetensors")
+    found = Surrogate.load(tmp_path / "surrogate.safetensors")
+    assert found.answers == "height+width+area" and (found.mean == np.arange(3.0)).all() and found.seconds == 5.0
+    images = DIGITS[:4] / 255
+    before = Surrogate(net.eval(), "height+width+area", np.arange(3.0), np.ones(3), 5.0).predict(images, "width")
+    assert np.allclose(found.predict(images, "width"), before, atol=1e-2)
+    (tmp_path / "other.safetensors").write_text("notes")
+    with pytest.raises(ValueError, match=r"other\.safetensors"):
+        Surrogate.load(tmp_path / "other.safetensors")
+    with pytest.raises(OSError, match=r"other\.safetensors"):
+        found.save(tmp_path / "other.safetensors")
 
 
 def test_the_stored_comparison_is_whole_and_its_lines_differ_without_colour():

@@ -10,6 +10,7 @@ from inflate_lib.alternatives import surrogate
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
+from inflate_lib.models import surrogate as models_surrogate
 
 RNG = np.random.default_rng(3)
 
@@ -62,7 +63,7 @@ def untrained(told):
     config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=parts)
     low, mean = RNG.random(one.length), RNG.random(one.length)
     model = TrainedModel(config.make_net(one.length), config, low, low + 1 + RNG.random(one.length))
-    judge = surrogate.Surrogate(None, told, mean, 0.5 + RNG.random(one.length), 0.0)
+    judge = models_surrogate.Surrogate(None, told, mean, 0.5 + RNG.random(one.length), 0.0)
     return model, judge
 
 
@@ -73,10 +74,10 @@ def test_a_critic_finds_nothing_amiss_where_the_surrogate_expects_the_target(tol
     answers = torch.from_numpy((target - judge.mean) / judge.scale).float()
     judge.net = Fixed(answers)
     y, x = torch.from_numpy(model.scaled(target)).float(), torch.zeros(3, 1, 28, 28)
-    judged = surrogate.critic(judge, model, told)
+    judged = models_surrogate.critic(judge, model, told)
     assert judged(x, y).abs().max() < 1e-10
     judge.net.answers = answers + 0.1
-    assert torch.allclose(surrogate.critic(judge, model, told)(x, y), torch.tensor(0.01 * parts), rtol=1e-4)
+    assert torch.allclose(models_surrogate.critic(judge, model, told)(x, y), torch.tensor(0.01 * parts), rtol=1e-4)
 
 
 def test_a_critic_passes_over_what_was_not_asked_for():
@@ -86,7 +87,7 @@ def test_a_critic_passes_over_what_was_not_asked_for():
     target[0, PARTS.index("area")] = 1e3 * judge.scale[2] + judge.mean[2]
     y = torch.from_numpy(model.scaled(target)).float()
     judge.net.answers.requires_grad_()
-    found = surrogate.critic(judge, model, "joint")(torch.zeros(2, 1, 28, 28), y)
+    found = models_surrogate.critic(judge, model, "joint")(torch.zeros(2, 1, 28, 28), y)
     assert found[0] < 1e-4 and found[1] == 0  # the area is met, and of the second nothing was wanted
     found.sum().backward()
     assert judge.net.answers.grad.isfinite().all()
