@@ -29,7 +29,6 @@ from stored import seconds, store
 from inflate_lib import paths
 from inflate_lib._cache import step_version
 from inflate_lib.alternatives.ablation import measures
-from inflate_lib.alternatives.students import judge_of
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import DESCRIPTORS, descriptor_matrix, get_descriptor
@@ -38,7 +37,8 @@ from inflate_lib.experiments.calibrate import calibrate
 from inflate_lib.experiments.run import held_out_seed, held_out_targets, run_experiment
 from inflate_lib.experiments.variety import diversity, novelty
 from inflate_lib.models.recipe import load_recipe
-from inflate_lib.models.weights import STUDENTS, load_model
+from inflate_lib.models.surrogate import Surrogate
+from inflate_lib.models.weights import STUDENTS, SURROGATE, load_model
 
 EIGHT, SECOND = {"steps": 8}, {"sampler": "dpm-solver++"}
 WAYS = {f"{steps} steps": {"steps": steps} for steps in (25, 16, 8, 6, 4)}
@@ -120,7 +120,7 @@ def main():
     known = training_rows(data)
     unseen = np.setdiff1d(np.flatnonzero(data["converged"].values), known)
     ways = STEERED if given.steered else FOR_STUDENTS if given.students else WAYS
-    judge = judge_of(data, recipe) if given.steered else None
+    judge = Surrogate.load(paths.PRETRAINED / weights / f"{SURROGATE}.safetensors") if given.steered else None
     if unknown := set(given.only or ()) - set(ways):
         raise SystemExit(f"no way {sorted(unknown)}; there are {list(ways)}")
     yardstick = np.median(novelty(data["image"].values[unseen], data, known)[0])

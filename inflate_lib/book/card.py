@@ -79,7 +79,10 @@ as it follows them. For other combinations, such as a stress beside a height, it
   trained anew.
 """
 
-_TUNED = ", and\nwhich were tuned on what they draw, judged by a surrogate of the simulation"
+_TUNED = (
+    ", and\nwhich were tuned on what they draw, judged by a surrogate of the simulation. "
+    "It lies beside them: in the way called\n*steered* it corrects each drawing while it is made"
+)
 _MEASURES = {
     "R²": "R²",
     "median error / target": "median error (%)",

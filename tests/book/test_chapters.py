@@ -165,6 +165,20 @@ def test_tuned_students_are_more_accurate_and_nearly_as_varied():
     assert len(shared) >= 15 and (tuned.loc[shared, "R²"] > teacher.loc[shared, "R²"]).all()
 
 
+def test_steered_students_are_nearer_and_as_varied():
+    """As the chapter on control says in words."""
+    keys = ["descriptor", "way"]
+    students = pd.read_csv(paths.REFERENCE / "sampler_students.csv").set_index([*keys, "student"])
+    steered = students.xs("steered", level="student")
+    tuned = students.xs("tuned", level="student").loc[steered.index]
+    sizes = steered.index.get_level_values("descriptor") != "axis"
+    assert (steered["median error"] < 0.7 * tuned["median error"])[sizes].all() and sizes.sum() >= 8
+    assert (steered["median error"] < tuned["median error"]).all()
+    assert (steered["R²"] > tuned["R²"])[sizes].all()
+    assert (steered[["variety", "novelty"]] - tuned[["variety", "novelty"]]).abs().max().max() < 0.05
+    assert (tuned["buildable"] - steered["buildable"]).max() < 5
+
+
 @pytest.mark.parametrize("chapter", CHAPTERS, ids=lambda path: path.stem)
 def test_code_fits_the_page_and_what_is_not_to_be_read_is_folded(chapter):
     """Parameters, imports, and cells that do no more than record the error of a formula."""

@@ -8,7 +8,6 @@ import pytest
 import svgpathtools
 import trimesh
 import xarray as xr
-from inflate_lib.mechanics.reference import tube
 from scipy.spatial import cKDTree
 
 from inflate_lib import describe, inflate, label_image
