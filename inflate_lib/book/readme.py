@@ -55,7 +55,7 @@ def _results() -> str:
         title.removesuffix(" (%)") for title in ("valid (%)", "buildable (%)") if title in next(iter(measured.values()))
     ]
     lines = [f"| model | R² | median error | {' | '.join(shares)} |", "|---|---|---|" + "---|" * len(shares)]
-    for name in (f"{one}{way}" for one in DESCRIPTORS for way in ("", ", quick")):
+    for name in (f"{one}{way}" for one in DESCRIPTORS for way in ("", ", quick", ", steered")):
         row = measured[name]
         percent = row["median error (%)"]
         median = f"{row['median distance (px)']} px" if percent == "–" else f"{percent} %"
