@@ -105,7 +105,7 @@ def test_each_purpose_has_its_sampling_and_a_calibration_for_it(folder, data, mo
         assert dict(model.sampling) == SAMPLING and dict(quick.sampling) == {**SAMPLING, "steps": 1}
         assert model.calibrations["height"].slope == 3 and quick.calibrations["height"].slope == 2
         assert model.made_for("faithful") is model and model.made_for("varied") is model
-        with pytest.raises(ValueError, match="purpose must be one of faithful, varied, quick, not 'fast'"):
+        with pytest.raises(ValueError, match="purpose must be one of faithful, varied, quick, steered, not 'fast'"):
             model.made_for("fast")
     other = trained_models(["height"], recipe.changed(samplers={"quick": {"steps": 3}}), data)["height"]
     assert other.calibrations and not other.made_for("quick").calibrations
