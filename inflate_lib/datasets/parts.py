@@ -13,7 +13,7 @@ import numpy as np
 
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest
-from inflate_lib._checks import whole_number
+from inflate_lib._checks import whole_number, workers
 from inflate_lib.datasets.simulate import code_of_dataset, simulate_dataset
 from inflate_lib.datasets.storage import save_dataset
 from inflate_lib.structures.blends import Family
@@ -56,7 +56,8 @@ def simulated_digits(
     """
     whole_number("n_structures", n_structures, 1, optional=True)
     whole_number("blends", blends, 0)
-    workers(n_jobs)
+    if n_jobs is not None:
+        workers(n_jobs)
     found = load_digits(digits, source, n_structures, test)
     images = Family(found.images, blends, seed)
     labels = np.concatenate([found.labels.astype(np.int8), np.full(blends, -1, np.int8)])
