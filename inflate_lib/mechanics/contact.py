@@ -174,7 +174,7 @@ def keep_apart(build, walls, displacement, pressures, allowed):
         The same array where no walls come near.
     factorisations : int
     why : int
-        Why no more load steps were reached, as :func:`_kernels.march` says it.
+        Why no more load steps were reached, as ``_kernels.march`` says it.
 
     Raises
     ------
