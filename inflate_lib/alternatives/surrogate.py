@@ -95,7 +95,7 @@ def train_surrogate(
 
 
 def blends_of(data: "xr.Dataset", n: int, seed: int = 0) -> "xr.Dataset":
-    """Blends (``inflate_lib.structures.blend``) of the structures that models are trained on, simulated; from the cache."""
+    """Blends (``structures.blend``) of the structures that models are trained on, simulated; from the cache."""
     images = data["image"].values[training_rows(data)]
 
     def make(target, scratch):
