@@ -226,7 +226,9 @@ def generate(
         def predict(x, t, y=y, judge=judge):
             inside = guided_from <= (t[0].item() + 1) / len(model.schedule) <= guided_to
             answer = guided(net, x, t.to(place), y, guidance if inside else 1)
-            return _corrected(model, x, t, answer, lambda x0: steering * judge(x0, y)) if steering else answer
+            if not steering:
+                return answer
+            return _corrected(model, x, t, answer, lambda x0: steering * judge(x0.cpu(), y.cpu()).to(place))
 
         with torch.inference_mode():
             noise = noise_images(seed, range(start + rows.start, start + rows.stop), size, place)

@@ -17,14 +17,12 @@ from inflate_lib._checks import whole_number, workers
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import name_of
-from inflate_lib.diffusion import TrainedModel
 from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.experiments.run import run_experiment
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.reach import save_reach
 from inflate_lib.models.recipe import Recipe
-from inflate_lib.models.surrogate import Judge, Surrogate
-from inflate_lib.models.weights import STUDENTS, SURROGATE, Model
+from inflate_lib.models.weights import STUDENTS, Model, with_judge
 
 _N_ASKED = 300  # structures drawn to fit g
 
@@ -105,9 +103,7 @@ def calibrate_weights(
 
 def _calibrate_file(file, data, recipe, others):
     """One of the files of :func:`calibrate_weights`, with ways of sampling for other purposes."""
-    trained = TrainedModel.load(file)
-    if (judge := file.with_stem(SURROGATE)).is_file():
-        trained.judge = Judge(Surrogate.load(judge), trained, file.stem)
+    trained = with_judge(file)
     if trained.metadata.get("data") != digest(data["image"].values, data["converged"].values):
         raise ValueError(f"{file} was trained on other data: {trained.metadata.get('structures')} structures")
     model = _calibrated(Model(file.stem, trained, recipe.sampling), data, recipe)

@@ -304,12 +304,18 @@ def _asked_for(path, teacher):
     found = {purpose: (teacher, about) for purpose, about in teacher.metadata.get("samplers", {}).items()}
     found["faithful"] = teacher, teacher.metadata
     file = path.parent / STUDENTS / path.name
-    if file.is_file() and (student := TrainedModel.load(file)).metadata.get("teacher") == teacher.fingerprint:
-        if (judge := file.with_stem(SURROGATE)).is_file():
-            student.judge = Judge(Surrogate.load(judge), student, file.stem)
+    if file.is_file() and (student := with_judge(file)).metadata.get("teacher") == teacher.fingerprint:
         known = {"quick": student.metadata, **student.metadata.get("samplers", {})}
         found |= {purpose: (student, about) for purpose, about in known.items()}
     return found
+
+
+def with_judge(file: Path) -> TrainedModel:
+    """The model in a file, with the judge that steers it where a surrogate lies beside it."""
+    trained = TrainedModel.load(file)
+    if (surrogate := file.with_stem(SURROGATE)).is_file():
+        trained.judge = Judge(Surrogate.load(surrogate), trained, file.stem)
+    return trained
 
 
 def _stored(about, sampling, recipe):
