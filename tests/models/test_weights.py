@@ -18,8 +18,15 @@ from inflate_lib.models.reach import load_reach, reach_of, save_reach
 from inflate_lib.models.weights import Model
 
 FAST = {"sampler": "ddim", "steps": 2, "eta": 1.0, "guidance": 2.0}
-# A batch of another size rounds otherwise, which changes a pixel by up to 0.004; another drawing differs by 0.1.
-CLOSE = {"rtol": 0, "atol": 0.01}
+
+
+def same(images, others):
+    """Whether images are the same but for what a batch of another size rounds otherwise.
+
+    An untrained network magnifies that: a pixel in a million differs by 0.01, the mean over an image by up to 1e-4;
+    those of two drawings differ by 0.4.
+    """
+    return np.abs(images - others).mean(axis=(1, 2)).max() < 1e-3
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +56,7 @@ def test_asking_for_more_gives_the_same_first_ones(ask, reach, seed, n, more, ro
     target = {"height": float(reach.height[row]), "area": float(reach.hull_area[row])}
     few, many = (ask[JOINT].draw(target, count, seed) for count in (n, n + more))
     assert few.shape == (n, 28, 28) and few.dtype == np.float32 and few.min() >= 0 and few.max() <= 1
-    np.testing.assert_allclose(many[:n], few, **CLOSE)
+    assert same(many[:n], few)
 
 
 @given(seed=st.integers(0, 2**31), n=st.integers(1, 3), rows=st.lists(st.integers(0, 59), min_size=2, max_size=3))
@@ -61,7 +68,7 @@ def test_several_targets_are_as_each_alone(ask, reach, seed, n, rows):
     assert together.shape == (len(rows) * n, 28, 28)
     for number, axis in enumerate(axes):
         alone = ask["axis"].draw({"axis": axis}, (number + 1) * n, seed)
-        np.testing.assert_allclose(together[number * n : (number + 1) * n], alone[number * n :], **CLOSE)
+        assert same(together[number * n : (number + 1) * n], alone[number * n :])
 
 
 def test_seeds_and_targets_make_a_difference(ask, reach):
