@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 from stored import store
 
 from inflate_lib import build_mesh, inflate, label_image, paths
+from inflate_lib.alternatives import open_parts, simulated_digits
 from inflate_lib.alternatives.all_digits import (
     MET,
     compact,
@@ -23,7 +24,6 @@ from inflate_lib.alternatives.all_digits import (
     sizes_of,
     stored_digits,
 )
-from inflate_lib.datasets import open_parts, simulated_digits
 from inflate_lib.mechanics.inflation import PRESSURE, assemble, build_system
 
 NAMES = ("zeros", "ones", "twos", "threes", "fours", "fives", "sixes", "sevens", "eights", "nines")

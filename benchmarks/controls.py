@@ -27,10 +27,10 @@ from inflate_lib.diffusion import generate
 from inflate_lib.experiments.calibrate import calibrate
 from inflate_lib.experiments.metrics import bootstrap, misses, r_squared
 from inflate_lib.experiments.run import held_out_targets, model_digest, run_experiment
+from inflate_lib.inverse.adjoint import flip_changes, sensitivities
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.refine import attempt, border, refine, with_flipped
 from inflate_lib.inverse.targets import Targets
-from inflate_lib.mechanics.adjoint import flip_changes, sensitivities
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.models.recipe import load_recipe
 from inflate_lib.models.weights import load_model
@@ -203,7 +203,7 @@ class Study:
     def code(self):
         return [
             step_version("alternative"),
-            code_version("inflate_lib.inverse.refine", "inflate_lib.mechanics.adjoint"),
+            code_version("inflate_lib.inverse.refine", "inflate_lib.inverse.adjoint"),
         ]
 
     def add(self, control, effort, achieved, buildable, seconds):

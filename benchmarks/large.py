@@ -4,7 +4,7 @@
     python benchmarks/large.py 300000
 
 Up to 60,000 these are MNIST's training digits in the order of the files; what is beyond are blends of two of them,
-mirrored and moved (`inflate_lib.structures.Family`). Each size runs in a process of its own with a cache of its own,
+mirrored and moved (`inflate_lib.alternatives.Family`). Each size runs in a process of its own with a cache of its own,
 which goes away afterwards, unless --folder keeps it. Sizes that were measured before stay in data/reference/large.csv.
 The time of a run that went on after a kill is that of its last part only: measure it again for a time that counts.
 """
@@ -25,7 +25,7 @@ from joblib.externals.loky import get_reusable_executor
 from stored import store
 
 from inflate_lib import paths
-from inflate_lib.datasets import open_parts, simulated_digits
+from inflate_lib.alternatives import open_parts, simulated_digits
 
 CORES, DIGITS = 2, 60_000
 

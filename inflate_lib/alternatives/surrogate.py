@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from inflate_lib._cache import cached, code_version, digest, step_version
 from inflate_lib._checks import whole_number
+from inflate_lib.alternatives.blends import blend
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.datasets.storage import load_dataset, save_dataset
@@ -22,7 +23,6 @@ from inflate_lib.diffusion import storage
 from inflate_lib.diffusion.loop import fit
 from inflate_lib.diffusion.randomness import initialised
 from inflate_lib.models.surrogate import CHANNELS, Network, Surrogate, centred, robust
-from inflate_lib.structures.blends import blend
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -95,7 +95,7 @@ def train_surrogate(
 
 
 def blends_of(data: "xr.Dataset", n: int, seed: int = 0) -> "xr.Dataset":
-    """Blends (``structures.blend``) of the structures that models are trained on, simulated; from the cache."""
+    """Blends (``alternatives.blend``) of the structures that models are trained on, simulated; from the cache."""
     images = data["image"].values[training_rows(data)]
 
     def make(target, scratch):
@@ -105,7 +105,7 @@ def blends_of(data: "xr.Dataset", n: int, seed: int = 0) -> "xr.Dataset":
         "blends of": digest(images),
         "n": n,
         "seed": seed,
-        "code": step_version("dataset") + code_version("inflate_lib.structures.blends"),
+        "code": step_version("dataset") + code_version("inflate_lib.alternatives.blends"),
     }
     return load_dataset(cached("blends", key, make, ".nc"))
 

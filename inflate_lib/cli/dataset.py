@@ -24,7 +24,8 @@ def dataset(
 
     With --digits, --test or --blends the data set is kept in parts, and any number of structures fits into memory.
     """
-    from inflate_lib.datasets import simulated_digits, simulated_sevens
+    from inflate_lib.alternatives import simulated_digits
+    from inflate_lib.datasets import simulated_sevens
 
     if backend and dask:
         raise ValueError("--backend says who works here, --dask who works elsewhere: give one of them")

@@ -16,7 +16,8 @@ def export(
 ) -> None:
     """Write the joint model for the laboratory in the page, with the fingerprint of its weights in it."""
     paths.need_checkout("inflate export")
-    from inflate_lib.models import browser, load_model
+    from inflate_lib.io import browser
+    from inflate_lib.models import load_model
 
     model = load_model("joint", profile)
     file = browser.export(model, profile, out or browser.FILE)

@@ -6,7 +6,6 @@ from inflate_lib._lazy import attach
 
 if TYPE_CHECKING:
     from inflate_lib.datasets.pairs import TrainingSet, held_out, training_rows
-    from inflate_lib.datasets.parts import open_parts, simulated_digits
     from inflate_lib.datasets.simulate import simulate_dataset, simulated_sevens
     from inflate_lib.datasets.storage import load_dataset, save_dataset
 
@@ -14,10 +13,8 @@ __all__ = [
     "TrainingSet",
     "held_out",
     "load_dataset",
-    "open_parts",
     "save_dataset",
     "simulate_dataset",
-    "simulated_digits",
     "simulated_sevens",
     "training_rows",
 ]

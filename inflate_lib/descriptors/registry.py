@@ -72,7 +72,7 @@ class Descriptor:
         the greatest value of that one. Targets that contradict it are refused.
     gradient : callable, optional
         ``gradient(nodes)`` → (n, 2), the derivative with respect to deformed nodes (n, 2) of a single component. Where
-        there is one, designs are refined by :func:`inflate_lib.mechanics.sensitivities`.
+        there is one, designs are refined by :func:`inflate_lib.inverse.sensitivities`.
     """
 
     name: str

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from inflate_lib._lazy import attach
 
 if TYPE_CHECKING:
+    from inflate_lib.inverse.adjoint import sensitivities
     from inflate_lib.inverse.constraints import Constraints
     from inflate_lib.inverse.drawings import read_outline
     from inflate_lib.inverse.save import save_designs
@@ -21,5 +22,6 @@ __all__ = [
     "read_outline",
     "read_targets",
     "save_designs",
+    "sensitivities",
 ]
 __getattr__, __dir__ = attach(__name__, __file__)

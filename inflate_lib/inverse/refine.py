@@ -4,7 +4,7 @@ A structure is made of pixels, and one pixel of its cavity more or less changes 
 or so. An inflation takes milliseconds, drawing a candidate ten times as long. So a near miss is worth some tries: a
 pixel at the border of the cavity is flipped, or two that lie beside each other, the structure labelled and inflated
 again, and the change kept if the largest error has become smaller and the structure can still be built. Which to try
-first is what the adjoint says (:mod:`inflate_lib.mechanics.adjoint`).
+first is what the adjoint says (:mod:`inflate_lib.inverse.adjoint`).
 
 What is handed out will be cast. A *crumb* is a pixel of the cavity or of the wall that has at most one of its four
 neighbours on its own side: a single pixel that sticks out. Those of a drawing are removed before it is refined, and no
@@ -19,9 +19,9 @@ from scipy import ndimage
 from inflate_lib._checks import choice
 from inflate_lib.datasets.simulate import TIME_LIMIT
 from inflate_lib.descriptors import describe, get_descriptor
+from inflate_lib.inverse.adjoint import flip_changes, sensitivities
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.targets import deviations
-from inflate_lib.mechanics.adjoint import flip_changes, sensitivities
 from inflate_lib.mechanics.buildable import Flaw, find_flaw
 from inflate_lib.mechanics.inflation import inflate
 from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, label_image
@@ -170,7 +170,7 @@ def _crumbs_of(void):
 def _most_promising(changes, label, result, targets, symmetric=False):
     """`changes` (m, 2, 2) in the order of the largest error to expect from each, the smallest first.
 
-    Descriptors that have a gradient are expected to change as :func:`.mechanics.adjoint.flip_changes` says; all others,
+    Descriptors that have a gradient are expected to change as :func:`.inverse.adjoint.flip_changes` says; all others,
     to stay.
     """
     shape, mirror = describe(result), _mirror_columns(label)

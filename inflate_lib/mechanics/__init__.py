@@ -1,11 +1,10 @@
-"""From a structure to its inflated shape (paper sec. 3): mesh, equilibrium, stress, contact, flaws, sensitivities."""
+"""From a structure to its inflated shape (paper sec. 3): mesh, equilibrium, stress, contact, flaws."""
 
 from typing import TYPE_CHECKING
 
 from inflate_lib._lazy import attach
 
 if TYPE_CHECKING:
-    from inflate_lib.mechanics.adjoint import sensitivities
     from inflate_lib.mechanics.buildable import Flaw, find_flaw
     from inflate_lib.mechanics.contact import first_contact, self_contact
     from inflate_lib.mechanics.inflation import Inflation, inflate
@@ -24,7 +23,6 @@ __all__ = [
     "largest_stretch",
     "peaks",
     "self_contact",
-    "sensitivities",
     "von_mises",
 ]
 __getattr__, __dir__ = attach(__name__, __file__)

@@ -1,4 +1,4 @@
-"""From a grey image to a structure (paper sec. 3, Figs. 2 and 4): images, labels, flips and shifts, blends."""
+"""From a grey image to a structure (paper sec. 3, Figs. 2 and 4): images, labels, flips and shifts."""
 
 from typing import TYPE_CHECKING
 
@@ -6,17 +6,14 @@ from inflate_lib._lazy import attach
 
 if TYPE_CHECKING:
     from inflate_lib.structures.augmentation import apply_variants, augment, augment_descriptors
-    from inflate_lib.structures.blends import Family, blend
     from inflate_lib.structures.labels import is_open, label_image, point_joints, stages
     from inflate_lib.structures.sources import Digits, load_digits, load_sevens, resolve_source
 
 __all__ = [
     "Digits",
-    "Family",
     "apply_variants",
     "augment",
     "augment_descriptors",
-    "blend",
     "is_open",
     "label_image",
     "load_digits",

@@ -12,8 +12,8 @@ import numpy as np
 
 from inflate_lib import describe, inflate, label_image, load_model, load_sevens
 from inflate_lib.descriptors import get_descriptor
-from inflate_lib.mechanics import find_flaw, self_contact, sensitivities
-from inflate_lib.mechanics.adjoint import flip_changes
+from inflate_lib.inverse.adjoint import flip_changes, sensitivities
+from inflate_lib.mechanics import find_flaw, self_contact
 from inflate_lib.structures.labels import stages
 
 OPTIONS = (

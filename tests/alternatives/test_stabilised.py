@@ -10,7 +10,8 @@ from inflate_lib import describe, label_image
 from inflate_lib.alternatives.reference import quarter_ring, tube
 from inflate_lib.alternatives.stabilised import StabilisedInflation, inflate_with, residual
 from inflate_lib.descriptors import get_descriptor
-from inflate_lib.mechanics import material, sensitivities
+from inflate_lib.inverse import sensitivities
+from inflate_lib.mechanics import material
 from inflate_lib.mechanics.inflation import LAMBDA, MU, Inflation, shape_gradients
 from inflate_lib.mechanics.mesh import Mesh, build_mesh
 from inflate_lib.mechanics.stress import cauchy_stress, von_mises

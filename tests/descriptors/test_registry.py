@@ -16,8 +16,8 @@ from inflate_lib.experiments.metrics import errors
 from inflate_lib.experiments.run import judge, run_experiment
 from inflate_lib.experiments.tables import accuracy, score, scores
 from inflate_lib.inverse import candidates
+from inflate_lib.inverse.adjoint import sensitivities
 from inflate_lib.inverse.constraints import Constraints
-from inflate_lib.mechanics.adjoint import sensitivities
 from inflate_lib.models.reach import check_reach, load_reach, save_reach
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.designs import plot_designs

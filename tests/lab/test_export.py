@@ -5,7 +5,8 @@ import math
 
 import pytest
 
-from inflate_lib.models import browser, load_model
+from inflate_lib.io import browser
+from inflate_lib.models import load_model
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from scipy import sparse
 
 from inflate_lib import describe, inflate, label_image, paths
 from inflate_lib.descriptors import get_descriptor
+from inflate_lib.inverse.adjoint import sensitivities
 from inflate_lib.mechanics import _barrier, contact
-from inflate_lib.mechanics.adjoint import sensitivities
 from inflate_lib.mechanics.contact import (
     contact_forces,
     coupled_system,

@@ -11,9 +11,10 @@ import pytest
 import xarray as xr
 
 from inflate_lib import paths, simulate_dataset
+from inflate_lib.alternatives import Family, open_parts, parts, simulated_digits
 from inflate_lib.cli import app
-from inflate_lib.datasets import open_parts, parts, simulate, simulated_digits
-from inflate_lib.structures import Family, load_digits
+from inflate_lib.datasets import simulate
+from inflate_lib.structures import load_digits
 
 DIGITS = load_digits("all", "digits")
 
@@ -85,7 +86,8 @@ RUN = """
 import sys
 from pathlib import Path
 from inflate_lib import paths
-from inflate_lib.datasets import parts, simulate
+from inflate_lib.alternatives import parts
+from inflate_lib.datasets import simulate
 paths.CACHE, parts.PART, simulate.ALONE = Path(sys.argv[1]), 16, 0
 parts.simulated_digits("all", "digits", 40, n_jobs=2, backend=sys.argv[2] if len(sys.argv) > 2 else None)
 """

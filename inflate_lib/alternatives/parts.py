@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from inflate_lib import _progress
-from inflate_lib._cache import cached, digest
+from inflate_lib._cache import cached, digest, step_version
 from inflate_lib._checks import whole_number, workers
+from inflate_lib.alternatives.blends import Family
 from inflate_lib.datasets.simulate import code_of_dataset, simulate_dataset
 from inflate_lib.datasets.storage import save_dataset
-from inflate_lib.structures.blends import Family
 from inflate_lib.structures.sources import load_digits
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def simulated_digits(
         Which digits, see :func:`inflate_lib.structures.load_digits`.
     blends, seed
         So many blends of two of them, mirrored and shifted, follow the digits: see
-        :class:`inflate_lib.structures.Family`.
+        :class:`Family`.
     n_jobs, backend
         Who works, see :func:`inflate_lib.simulate_dataset`.
 
@@ -67,6 +67,8 @@ def simulated_digits(
         "code_version": code_of_dataset(),
     }
     key = {**about, "images": digest(found.images), "structures": len(images), "steps": 10}
+    if blends:  # which are not made by the code of a data set
+        key["blending"] = step_version("alternative")
     folder = f"digits/{digest(repr(key))[:16]}"
 
     def parts() -> Iterator[tuple[int, Path]]:

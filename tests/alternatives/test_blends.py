@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflate_lib import describe, inflate, label_image
-from inflate_lib.structures.blends import Family, blend
+from inflate_lib.alternatives.blends import Family, blend
 from inflate_lib.structures.labels import main_component
 from inflate_lib.structures.sources import load_sevens
 

@@ -12,10 +12,10 @@ from inflate_lib import build_mesh, describe, inflate, label_image
 from inflate_lib.descriptors import get_descriptor
 from inflate_lib.descriptors.registry import basic
 from inflate_lib.descriptors.shape import area_gradient
+from inflate_lib.inverse.adjoint import flip_changes, sensitivities
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.refine import _most_promising, attempt, border, refine, with_flipped
 from inflate_lib.inverse.targets import Targets
-from inflate_lib.mechanics.adjoint import flip_changes, sensitivities
 from inflate_lib.structures.labels import WALL
 from inflate_lib.structures.sources import load_sevens
 
