@@ -62,6 +62,8 @@ class Family(Sequence):
     def __init__(self, images: np.ndarray, n: int, seed: int = 0) -> None:
         self.images = images
         self.n, self.seed = whole_number("n", n, 0), whole_number("seed", seed, 0)
+        if n and len(images) < 2:
+            raise ValueError(f"blends are made of two digits, and there is {len(images)}: ask for more structures")
 
     def __len__(self) -> int:
         return len(self.images) + self.n

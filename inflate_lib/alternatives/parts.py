@@ -13,9 +13,9 @@ import numpy as np
 
 from inflate_lib import _progress
 from inflate_lib._cache import cached, digest, step_version
-from inflate_lib._checks import whole_number, workers
+from inflate_lib._checks import whole_number
 from inflate_lib.alternatives.blends import Family
-from inflate_lib.datasets.simulate import code_of_dataset, simulate_dataset
+from inflate_lib.datasets.simulate import check_workers, code_of_dataset, simulate_dataset
 from inflate_lib.datasets.storage import save_dataset
 from inflate_lib.structures.sources import load_digits
 
@@ -56,8 +56,7 @@ def simulated_digits(
     """
     whole_number("n_structures", n_structures, 1, optional=True)
     whole_number("blends", blends, 0)
-    if n_jobs is not None:
-        workers(n_jobs)
+    check_workers(n_jobs, backend)
     found = load_digits(digits, source, n_structures, test)
     images = Family(found.images, blends, seed)
     labels = np.concatenate([found.labels.astype(np.int8), np.full(blends, -1, np.int8)])

@@ -164,8 +164,7 @@ def simulated_before(source: str) -> "xr.Dataset | None":
 
 def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend=None):
     """Path of the netCDF file that :func:`simulated_sevens` reads."""
-    if n_jobs is not None:
-        workers(n_jobs)
+    check_workers(n_jobs, backend)
     whole_number("n_structures", n_structures, 1, optional=True)
     sevens = sources.load_sevens(source, limit=n_structures)
 
@@ -183,6 +182,13 @@ def simulated_sevens_file(source="auto", n_structures=None, n_jobs=None, backend
 
 def _key(sevens):
     return {"images": digest(sevens.images), "steps": 10, "code": code_of_dataset()}
+
+
+def check_workers(n_jobs, backend):
+    """A ValueError where nobody can work so, whether or not there is something left to do."""
+    if n_jobs is not None:
+        workers(n_jobs)
+    _workers.check_backend(backend)
 
 
 def code_of_dataset():

@@ -51,8 +51,8 @@ def test_a_family_begins_with_its_digits_and_any_member_can_be_had_alone():
 
 def test_members_are_whole_wherever_they_are_moved_and_as_often_mirrored_as_not():
     seven = IMAGES[:1]
-    family = Family(seven, 60)
-    digits = [main_component(family[number] / 255) for number in range(1, 61)]
+    family = Family(np.concatenate([seven, seven]), 60)
+    digits = [main_component(family[number] / 255) for number in range(2, 62)]
     first, last = np.transpose([np.flatnonzero(digit.any(axis=1))[[0, -1]] for digit in digits])
     assert first.min() >= 2 and last.max() <= 25  # with its wall of two pixels each is in the frame
     assert len(set(first)) >= 3

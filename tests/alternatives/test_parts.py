@@ -166,6 +166,26 @@ def test_what_is_no_digit_is_told(monkeypatch):
         app.run()
 
 
+@pytest.mark.parametrize("digits", [[], ["--digits", "3"]])
+@pytest.mark.parametrize(("wrong", "told"), [(["--jobs", "0"], "n_jobs"), (["--backend", "lokky"], "unknown backend")])
+def test_who_works_is_checked_though_nothing_is_left_to_do(cache, monkeypatch, digits, wrong, told):
+    given = ["inflate", "dataset", "--source", "digits", "--structures", "2", *digits]
+    monkeypatch.setattr("sys.argv", given)
+    with pytest.raises(SystemExit) as end:
+        app.run()
+    assert not end.value.code
+    monkeypatch.setattr("sys.argv", [*given, *wrong])
+    with pytest.raises(SystemExit, match=told):
+        app.run()
+
+
+def test_a_blend_takes_two_digits(cache, monkeypatch):
+    options = ["--source", "digits", "--structures", "1", "--blends", "3"]
+    monkeypatch.setattr("sys.argv", ["inflate", "dataset", *options])
+    with pytest.raises(SystemExit, match="two digits, and there is 1: ask for more structures"):
+        app.run()
+
+
 def test_without_dask_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "dask.array", None)
     with pytest.raises(RuntimeError, match=r"inflate-lib\[dask\]"):
