@@ -109,7 +109,7 @@ class Designs:
     asked: int
     prefer: str | None
     seed: int
-    model: dict = field(default_factory=dict)  # descriptor, digest of the weights, profile, source; empty for none
+    model: dict = field(default_factory=dict)  # descriptor, digests of its weights and judge, profile, source; or empty
     sampling: dict = field(default_factory=dict)
     tried: int = 0
     sources: Counter = field(default_factory=Counter)  # "model", "training" → candidates
@@ -246,7 +246,7 @@ def design(
     if start_from == "training":
         model = None
     else:
-        model = (model or find_model(targets, profile)).made_for("quick")
+        model = (model or find_model(targets, profile)).made_for("steered")
         _check_model(model, targets)
         _check_reach(targets, model.reach if data is None else data)
     structures = data if data is not None and "label" in data else None
@@ -497,6 +497,8 @@ def _about(model):
     trained = model.trained
     weights = [value.cpu().numpy() for _, value in sorted(trained.net.state_dict().items())]
     about = {"descriptor": model.name, "weights": fingerprint(*weights, trained.condition_min, trained.condition_max)}
+    if model.sampling.get("steering"):
+        about["surrogate"] = trained.judge.fingerprint
     return about | {key: trained.metadata[key] for key in ("profile", "source", "pairs") if key in trained.metadata}
 
 

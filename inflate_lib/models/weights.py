@@ -123,8 +123,8 @@ class Model:
         purpose : {"faithful", "varied", "quick", "steered"}
             As the experiments of the paper are made, which is how every model comes; with more steps, which draw more
             various structures; for designs, which inflate and refine whatever is drawn, with few; or corrected by a
-            surrogate of the simulation, which comes nearest to the target. Where there is a student
-            (:mod:`inflate_lib.diffusion.distillation`), it answers for all but the first.
+            surrogate of the simulation, which comes nearest to the target (where none is stored, as for "quick"). Where
+            there is a student (:mod:`inflate_lib.diffusion.distillation`), it answers for all but the first.
 
         Raises
         ------
@@ -132,6 +132,8 @@ class Model:
             There is no such purpose.
         """
         choice("purpose", purpose, PURPOSES)
+        if purpose == "steered" and purpose not in self.others:
+            purpose = "quick"
         return self.others.get(purpose, self)
 
     def _vectors(self, targets):
