@@ -59,10 +59,8 @@ def inflate_with(label, element="mean-dilatation", **how) -> Inflation:
     ValueError
         As `inflate` does, and where contact is asked of the stabilised element, which has no potential to add one to.
     """
-    if choice("element", element, ALL_ELEMENTS) != "stabilised":
+    if check_element(element, how.get("contact", False)) != "stabilised":
         return inflate(label, element=element, **how)
-    if how.get("contact"):
-        raise ValueError("contact: the stabilised element has none, choose another one")
     result = inflate(label, **how)
     system, n_steps = build_system(result.mesh, lame=result.lame), len(result.pressures)
     found, factorisations = [], result.factorisations
@@ -80,6 +78,13 @@ def inflate_with(label, element="mean-dilatation", **how) -> Inflation:
         result.mesh, element, result.load_steps, result.pressures, displacement, len(found) == n_steps, reason,
         factorisations, result.lame,
     )  # fmt: skip
+
+
+def check_element(element: str, contact: bool | float) -> str:
+    """`element`, or a ValueError where there is no such element, or none with contact."""
+    if choice("element", element, ALL_ELEMENTS) == "stabilised" and contact:
+        raise ValueError("contact: the stabilised element has none, choose another one")
+    return element
 
 
 def residual(result, x, p):

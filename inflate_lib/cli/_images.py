@@ -15,14 +15,14 @@ import numpy as np
 from inflate_lib import mechanics
 from inflate_lib._checks import choice
 from inflate_lib._files import check_outputs, naming
-from inflate_lib.alternatives.stabilised import inflate_with
+from inflate_lib.alternatives.stabilised import check_element, inflate_with
 from inflate_lib.descriptors import describe
 from inflate_lib.descriptors.registry import basic
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.pictures import PICTURES, in_one_line, read_images, with_ending
 from inflate_lib.io.vtk import vtk_files, write_vtk
 from inflate_lib.mechanics.buildable import find_flaw
-from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, load_history
+from inflate_lib.mechanics.inflation import LAMBDA, MU, PRESSURE, check_lame, load_history
 from inflate_lib.mechanics.mesh import build_mesh
 from inflate_lib.mechanics.stress import QUANTITIES
 from inflate_lib.structures.labels import THICKNESS, stages, turns_to_bottom
@@ -76,13 +76,18 @@ def simulate_files(files, options, inputs=()):
     ------
     ValueError
         For options that make no sense with any image.
+    RuntimeError
+        Where MOOSE is asked for and not there.
     OSError
         For outputs that ``inflate_lib._files.check_outputs`` refuses.
     """
     choice("colour", options.colour, QUANTITIES)
-    choice("engine", options.engine, _ENGINES)
-    if options.engine == "moose" and options.moose is None:
-        raise ValueError("engine moose needs a folder for its files: --moose DIR")
+    check_element(options.element, options.contact)
+    check_lame(options.lame)
+    if choice("engine", options.engine, _ENGINES) == "moose":
+        if options.moose is None:
+            raise ValueError("engine moose needs a folder for its files: --moose DIR")
+        moose.find_program()
     if options.contact and options.moose is not None:
         raise ValueError("contact: the cases for MOOSE have none, leave out --contact or --moose")
     for path, endings in ((options.plot, PICTURES), (options.gif, (".gif",)), (options.vtk, (".pvd", ".vtu"))):

@@ -9,9 +9,13 @@ import typer
 
 from inflate_lib.cli.app import app, kill_is_ctrl_c
 
+#: Options that a structure which is carried on does not leave without effect.
+_OF_DRAWN = ("from_file", "out", "tolerance", "refine", "smooth", "seed", "size_mm", "depth_mm", "overwrite")
+
 
 @app.command()
 def design(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for the designs; new or empty, or --overwrite.")],
     height: Annotated[float | None, typer.Option(help="Height of the inflated structure; the frame is 1.")] = None,
     width: Annotated[float | None, typer.Option(help="Width of the inflated structure.")] = None,
@@ -71,17 +75,17 @@ def design(
     from inflate_lib.inverse.targets import read_targets
 
     check_sizes(size_mm=size_mm, depth_mm=depth_mm)
-    asked = height, width, area, stress, stretch, axis, outline
     if from_file is not None:
-        if any(value is not None for value in asked):
-            raise ValueError("--from takes its targets from the file: leave out --height, --width, --area and the like")
-        if min_void_mm or max_material_mm2 is not None or symmetric or keep_out_mm is not None or prefer is not None:
-            raise ValueError(
-                "--from carries on one drawing as it is: leave out --min-void-mm, --max-material-mm2, --symmetric, "
-                "--keep-out-mm and --prefer"
-            )
+        source = context.get_parameter_source
+        others = [one for one in context.command.params if one.name not in _OF_DRAWN]
+        given = [one for one in others if (source(one.name or "") or source("out")) is source("from_file")]
+        if given:
+            names = ", ".join(max(one.opts, key=len) for one in given)
+            raise ValueError(f"--from carries on one drawing, towards the targets in its file: leave out {names}")
         _carry_on(from_file, out, tolerance, refine, seed, smooth, size_mm, depth_mm, overwrite)
         return
+    if outline_unit is not None and outline is None:
+        raise ValueError("--outline-unit is the unit of a drawn outline: leave it out, or give --outline")
     unit = size_mm if outline_unit is None else outline_unit
     targets = read_targets(axis, outline, unit, height=height, width=width, area=area, stress=stress, stretch=stretch)
     constraints = from_millimetres(size_mm, min_void_mm, max_material_mm2, symmetric, keep_out_mm)

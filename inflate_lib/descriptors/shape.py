@@ -173,7 +173,12 @@ def check_outline(name: str, value: Any) -> np.ndarray:
     """A support function (32,): as it is, or of points (k, 2), the corners of an outline; or a ValueError."""
     supports = np.asarray(value, dtype=object if isinstance(value, str) else None)
     if supports.shape != (OUTLINE_DIRECTIONS,):
-        return support_function(check_points(name, value))
+        points = check_points(name, value)
+        if len(points) < 3 or np.linalg.matrix_rank(points - points[:1]) < 2:
+            raise ValueError(
+                f"{name}: three points that are not on one line are needed, these {len(points)} enclose nothing"
+            )
+        return support_function(points)
     supports = numbers(name, value, f"{OUTLINE_DIRECTIONS} finite numbers")
     half = OUTLINE_DIRECTIONS // 2
     if not np.all(supports + np.roll(supports, half) > 0):

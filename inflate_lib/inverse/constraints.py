@@ -14,7 +14,7 @@ from scipy import ndimage
 from inflate_lib._checks import flag, number, numbers, positive_number
 from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.mechanics.mesh import boundary_loops
-from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, WALL, main_component
+from inflate_lib.structures.labels import FRAME, MIN_PIXELS, OUTSIDE, PIXEL, THICKNESS, VOID, WALL, main_component
 
 _ROUNDING = 1e-9  # pixels; so that 2/28 is two pixels and not three
 
@@ -55,6 +55,27 @@ class Constraints:
             if not (left < right and bottom < top):
                 raise ValueError(f"keep_out must have left < right and bottom < top, not {self.keep_out!r}")
             object.__setattr__(self, "keep_out", (left, bottom, right, top))
+
+    def check(self) -> None:
+        """Raise a ValueError where no structure can do as demanded, whatever its targets.
+
+        A cavity holds a square of `min_void`, one pixel at least, which has to fit in with its wall; at the clamped
+        edge one pixel does. Of all cavities the square has the least wall for its area (Brunn and Minkowski).
+        """
+        around = 2 * THICKNESS
+        cavity = max(pixels(self.min_void), 1)
+        side, foot = cavity + around, 1 + around
+        if side > FRAME:
+            raise ValueError(f"min_void {self.min_void:.4g}: with its wall such a cavity does not fit into the frame")
+        area = max(cavity**2, MIN_PIXELS)
+        least = PIXEL**2 * np.ceil((area**0.5 + around) ** 2 - area)
+        if self.max_material < least * (1 - _ROUNDING):
+            raise ValueError(f"max_material {self.max_material:.4g} of the frame: the least wall has {least:.4g} of it")
+        if self.keep_out is not None:
+            free = np.ones((FRAME, FRAME), bool)
+            free[_rows_columns(self.keep_out)] = False
+            if not (_holds(free, side) and _holds(free[-foot:], foot)):
+                raise ValueError(f"keep_out {self.keep_out}, in sides of the frame, leaves no room for a structure")
 
     def as_dict(self) -> dict:
         """What is demanded, in plain values."""
@@ -113,6 +134,11 @@ def _rows_columns(rectangle):
     left, bottom, right, top = rectangle
     columns = slice(max(int(np.floor(left * FRAME + _ROUNDING)), 0), max(pixels(right), 0))
     return slice(max(FRAME - pixels(top), 0), max(FRAME - int(np.floor(bottom * FRAME + _ROUNDING)), 0)), columns
+
+
+def _holds(free, side):
+    """Whether a square of `side` pixels fits somewhere into pixels that are free (n, m) bool."""
+    return bool(ndimage.binary_erosion(free, np.ones((side, side))).any())
 
 
 def _wide_enough(void, width):

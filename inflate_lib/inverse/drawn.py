@@ -16,6 +16,7 @@ from inflate_lib.mechanics.material import LAMBDA, MU
 from inflate_lib.structures.labels import FRAME, THICKNESS
 
 _FORMAT = "inflate-lab 1"
+_PARTS = ("format", "image", "settings", "targets")
 _SETTINGS = {
     "pressure": PRESSURE, "lambda": LAMBDA, "mu": MU, "wall": THICKNESS, "clamped": "bottom",
     "element": "mean-dilatation",
@@ -37,6 +38,8 @@ def read_drawn(path: str | Path) -> tuple[np.ndarray, Targets | None]:
         raise ValueError(f"{path} cannot be read as JSON: {error}") from None
     if not isinstance(told, dict) or told.get("format") != _FORMAT:
         raise ValueError(f'{path} is none of the laboratory\'s files: its format is not "{_FORMAT}"')
+    if unknown := [name for name in told if name not in _PARTS]:
+        raise ValueError(f"{path}: {unknown[0]} is no part of such a file; {', '.join(_PARTS)} are")
     rows = told.get("image")
     if (
         not isinstance(rows, list)

@@ -242,6 +242,7 @@ def design(
     targets, constraints = as_targets(targets), constraints or Constraints()
     _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refine, n_jobs)
     check_smooth(smooth, targets)
+    constraints.check()
     _check_symmetric(targets, constraints, tolerance)
     if start_from == "training":
         model = None

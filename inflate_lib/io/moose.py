@@ -203,7 +203,7 @@ def case_files(folder, name):
     return [Path(folder) / file for file in (f"{name}.i", f"{name}.e", f"{name}_out.e")]
 
 
-def _find_program():
+def find_program():
     """Path of a MOOSE program, or a RuntimeError that says which are looked for."""
     for name in _PROGRAMS:
         if found := shutil.which(name):
@@ -241,7 +241,7 @@ def run_case(result: "Inflation", input_file: str | Path, time_limit: float = 60
     positive_number("time_limit", time_limit, "seconds")
     input_file = Path(input_file)
     case, mesh, output = case_files(input_file.parent, input_file.stem)
-    command = [_find_program(), "-i", case.name]
+    command = [find_program(), "-i", case.name]
     check_outputs([output])
     with tempfile.TemporaryDirectory() as folder:  # so that no older run passes for this one, nor half of this one
         for file in (case, mesh):

@@ -15,7 +15,7 @@ PIXEL = 1 / FRAME  # side of a pixel
 THICKNESS = 2  # of the wall, in pixels
 THRESHOLD = 0.5  # between dark and bright
 OUTSIDE, WALL, VOID = 0.0, 0.5, 1.0  # the labels
-_MIN_PIXELS = 12  # a smaller main component is a speck, not a digit (the smallest MNIST seven has 23)
+MIN_PIXELS = 12  # a smaller main component is a speck, not a digit (the smallest MNIST seven has 23)
 _EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
 #: Edges of the frame that a structure can be clamped at. Number n comes to the bottom by n quarter turns of np.rot90.
 _EDGES = ("bottom", "left", "top", "right")
@@ -151,9 +151,9 @@ def main_component(grey, threshold=THRESHOLD):
     if n_components == 0:
         raise ValueError(f"image is blank: no pixel is brighter than {threshold:g} (brightest: {grey.max():.2g})")
     sizes = np.bincount(components.ravel())[1:]
-    if sizes.max() < _MIN_PIXELS:
+    if sizes.max() < MIN_PIXELS:
         raise ValueError(
-            f"image has no digit: its largest connected component has {sizes.max()} pixels, fewer than {_MIN_PIXELS}"
+            f"image has no digit: its largest connected component has {sizes.max()} pixels, fewer than {MIN_PIXELS}"
         )
     return components == 1 + sizes.argmax()
 

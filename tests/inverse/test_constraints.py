@@ -147,6 +147,31 @@ def test_a_structure_steps_aside_for_a_region(seven):
     assert attempt(DIGITS[0] / 255, nowhere)[0] is Rejection.KEEP_OUT
 
 
+def test_the_smallest_structures_are_the_limit_of_what_can_be_demanded():
+    """A cavity of twelve pixels, and a narrow one beside a wide obstacle; a square one that fills the frame."""
+    block, line = np.zeros((2, FRAME, FRAME))
+    block[23:26, 12:16] = line[14:26, 25] = 1
+    least, beside = Constraints(max_material=44 * PIXEL**2), Constraints(keep_out=(0, 0, 23 * PIXEL, 1))
+    for possible, image in ((least, block), (beside, line)):
+        possible.check()
+        assert possible.broken_by(label_image(image)) == ""
+    square = np.zeros((FRAME, FRAME))
+    square[2:26, 2:26] = 1
+    largest = Constraints(min_void=24 * PIXEL)
+    largest.check()
+    assert largest.broken_by(label_image(square)) == ""
+    for demand, message in (
+        ({"max_material": 43.9 * PIXEL**2}, "max_material .* the least wall"),
+        ({"max_material": 50 * PIXEL**2, "min_void": 5 * PIXEL}, "max_material .* the least wall"),
+        ({"keep_out": (0, 0, 23.1 * PIXEL, 1)}, "no room"),
+        ({"keep_out": (0, 4.9 * PIXEL, 1, 1)}, "no room"),
+        ({"keep_out": (-5, -5, 5, 5)}, "no room"),
+        ({"min_void": 24.1 * PIXEL}, "does not fit into the frame"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Constraints(**demand).check()
+
+
 @pytest.mark.parametrize(
     ("demand", "message"),
     [

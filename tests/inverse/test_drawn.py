@@ -79,6 +79,9 @@ def test_its_borders_can_be_smooth(structure, tmp_path):
         ({"targets": {"beauty": 1}}, "unknown target"),
         ({"targets": {"height": 1, "drawing": 5}}, "unknown target 'drawing'"),
         ({"targets": {"self": 5}}, "unknown target 'self'"),
+        ({"targets": {"outline": [[0, 0], [1, 1]]}}, "outline: three points that are not on one line"),
+        ({"targets": {"outline": [[0, 0], [1, 1], [2, 2], [0.5, 0.5]]}}, "outline: three points"),
+        ({"goal": {"height": 1}}, "goal is no part of such a file"),
         ({"image": ["0" * 28] * 28}, "cannot be built"),
     ],
 )
@@ -91,14 +94,19 @@ def test_what_is_no_such_file_is_refused(structure, tmp_path, changes, message):
 
 
 @pytest.mark.parametrize(
-    "options", [["--symmetric"], ["--keep-out-mm", "0", "0", "9", "9"], ["--prefer", "low-stress"]]
-)
-def test_demands_that_a_drawing_is_not_held_to_are_refused(structure, options, tmp_path):
+    "options",
+    [
+        ["--symmetric"], ["--keep-out-mm", "0", "0", "9", "9"], ["--prefer", "low-stress"], ["--height", "1"],
+        ["--number", "12"], ["--seconds", "90"], ["--candidates", "9"], ["--start-from", "both"], ["--profile", "ci"],
+        ["--outline-unit", "5"],
+    ],
+)  # fmt: skip
+def test_options_without_effect_on_a_drawing_are_refused(structure, options, tmp_path):
     file, out = tmp_path / "structure.json", tmp_path / "designs"
     file.write_text(json.dumps(told(structure[0])))
     done = CliRunner().invoke(_load_commands(), ["design", "--from", str(file), "--out", str(out), *options])
     assert isinstance(done.exception, ValueError)
-    assert "leave out" in str(done.exception) and options[0] in str(done.exception)
+    assert str(done.exception).endswith(f"leave out {options[0]}")
     assert not out.exists()
 
 

@@ -324,4 +324,4 @@ def test_a_run_without_results_says_why(result, stand_in, tmp_path, monkeypatch)
         moose.run_case(replace(result), case[0], time_limit=0.5)
     monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
     with pytest.raises(RuntimeError, match="solid_mechanics-opt nor combined-opt"):
-        moose._find_program()
+        moose.find_program()

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
 from inflate_lib import build_mesh
-from inflate_lib.structures.labels import _EDGES, _EIGHT_NEIGHBOURS, _MIN_PIXELS, is_open, label_image, stages
+from inflate_lib.structures.labels import _EDGES, _EIGHT_NEIGHBOURS, MIN_PIXELS, is_open, label_image, stages
 from inflate_lib.structures.sources import load_sevens, resolve_source
 
 EMBEDDED = load_sevens("digits").images
@@ -191,7 +191,7 @@ def square(side, value=1.0):
     [
         (np.zeros((28, 28)), "blank"),
         (np.full((28, 28), 127, np.uint8), "blank"),
-        (square(3), f"9 pixels, fewer than {_MIN_PIXELS}"),
+        (square(3), f"9 pixels, fewer than {MIN_PIXELS}"),
         (square(25), "29 pixels wide and 29 high"),
         (np.ones((28, 28)), "32 pixels wide and 32 high"),
         (np.ones((8, 8)), r"shape \(8, 8\)"),
@@ -262,4 +262,4 @@ def test_padding_keeps_the_wall_of_607_of_the_6265_sevens_and_five_closed(sevens
 @pytest.mark.mnist
 def test_no_seven_is_near_the_limit_of_a_speck(sevens):
     smallest = min(stages(image).component.sum() for image in sevens)
-    assert smallest > 1.5 * _MIN_PIXELS
+    assert smallest > 1.5 * MIN_PIXELS
