@@ -24,6 +24,7 @@ from inflate_lib.alternatives.all_digits import (
     sizes_of,
     stored_digits,
 )
+from inflate_lib.mechanics.contact import boundary_edges, first_crossing
 from inflate_lib.mechanics.inflation import PRESSURE, assemble, build_system
 
 NAMES = ("zeros", "ones", "twos", "threes", "fours", "fives", "sixes", "sevens", "eights", "nines")
@@ -101,7 +102,7 @@ def follow(label, longest=0.2, n_steps=150):
     state has to be in equilibrium, r(x, p) = 0, and the step's length along the path's direction is given.
     """
     mesh = build_mesh(label)
-    system = build_system(mesh)
+    system, edges = build_system(mesh), boundary_edges(mesh.cells)
     positions, rows = mesh.nodes.copy(), []
 
     def equations(at):
@@ -146,7 +147,8 @@ def follow(label, longest=0.2, n_steps=150):
         at, length = new, min(1.5 * length, longest)
         stable = positive_definite(equations(at)[1])
         height, aside = positions[:, 1].max(), (positions - mesh.nodes)[:, 0].mean()
-        rows.append({"pressure": at[-1] * PRESSURE, "height": height, "aside": aside, "stable": stable})
+        row = {"pressure": at[-1] * PRESSURE, "height": height, "aside": aside, "stable": stable}
+        rows.append(row | {"crossing": first_crossing(positions[None], edges) == 0})
     return rows
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MET = 0.02  # a target counts as met where height and width are missed by no more than this
+_STEP = 0.005  # of the grid on which targets stand, in sides
 _KEPT = ("digit", "height", "width", "hull_area", "peak_stress", "peak_stretch", "buildable", "flaw", "reason")
 _PACKED = {"dtype": "int16", "scale_factor": 2e-4, "_FillValue": -32768, "zlib": True, "complevel": 9}
 
@@ -64,8 +65,13 @@ def nearest_miss(sizes: np.ndarray, targets: np.ndarray) -> np.ndarray:
     return np.expm1(far)
 
 
-def reachable_area(sizes: np.ndarray, tolerance: float = MET, step: float = 0.005) -> float:
-    """How large the region of the plane of height and width is in which targets are met, in sides², on a grid."""
+def met_targets(sizes: np.ndarray, tolerance: float = MET, step: float = _STEP) -> np.ndarray:
+    """The targets (k, 2) on a grid of heights and widths that some structure of these sizes meets."""
     ends = sizes.min(axis=0) / (1 + 2 * tolerance), sizes.max(axis=0) * (1 + 2 * tolerance)
     grid = np.stack(np.meshgrid(*(np.arange(*pair, step) for pair in zip(*ends, strict=True))), axis=-1)
-    return float((nearest_miss(sizes, grid) <= tolerance).sum() * step**2)
+    return grid[nearest_miss(sizes, grid) <= tolerance]
+
+
+def reachable_area(sizes: np.ndarray, tolerance: float = MET, step: float = _STEP) -> float:
+    """How large the region of the plane of height and width is in which targets are met, in sides²."""
+    return len(met_targets(sizes, tolerance, step)) * step**2
