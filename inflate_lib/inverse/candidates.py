@@ -80,16 +80,16 @@ class Neighbours:
             errors.append(np.max(shares, axis=0))
         same = np.array_equal(*errors) and constraints.keep_out is None
         errors = errors[0] if same or constraints.symmetric else np.concatenate(errors)
-        self.rows, self.order, self.taken = rows, np.argsort(errors, kind="stable"), 0
+        self.numbers, self.order, self.taken = data["structure"].values[rows], np.argsort(errors, kind="stable"), 0
 
     def take(self, size: int, first: int) -> tuple[np.ndarray, list[dict]]:
         """Cavities (k, 28, 28) of the next candidates, k ≤ `size`, and for each which structure it is."""
         chosen = self.order[self.taken : self.taken + size]
         self.taken += len(chosen)
-        number, mirrored = chosen % len(self.rows), chosen >= len(self.rows)
+        number, mirrored = chosen % len(self.numbers), chosen >= len(self.numbers)
         images = np.where(mirrored[:, None, None], self.cavities[number, :, ::-1], self.cavities[number])
         origins = [
-            {"training structure": int(self.rows[i]), "mirrored": bool(flip)}
+            {"training structure": int(self.numbers[i]), "mirrored": bool(flip)}
             for i, flip in zip(number, mirrored, strict=True)
         ]
         return images.astype(float), origins

@@ -20,6 +20,8 @@ from joblib import Parallel, delayed
 
 from inflate_lib import paths
 from inflate_lib._checks import choice, flag, positive_number, whole_number, workers
+from inflate_lib.alternatives.all_digits import nearest_digits
+from inflate_lib.alternatives.digits_model import load_digits_model
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_before, simulated_sevens
 from inflate_lib.descriptors import Descriptors, describe, get_descriptor
@@ -41,6 +43,7 @@ _PREFERENCES = ("low-stress", "high-stress")
 _BATCH = 64  # candidates
 _NEAR, _INSIDE = 3, 0.5  # misses of up to 3 times the tolerance are refined, until they are at half of it
 _SURPLUS = 2  # so many times the designs asked for are found before the most different ones are chosen
+_BEYOND = "No seven comes near these targets: candidates are of all ten digits."
 _WEIGHTS = ("paper", "laptop", "ci")  # folders of data/pretrained, in the order in which they are looked into
 
 
@@ -147,6 +150,8 @@ class Designs:
         ]
         if good < len(self.designs):
             lines.append(f"The other {len(self.designs) - good} are the nearest misses, and are marked so.")
+        if self.model.get("digits"):
+            lines.append(_BEYOND)
         if smooth := sum(one.plan is not None for one in self.designs):
             lines.append(f"{smooth} have smooth borders, and were inflated with them.")
         if self.refined:
@@ -194,7 +199,8 @@ def design(
     n : int
         Number of designs.
     model : Model, optional
-        It draws with its own sampling. By default that of :func:`find_model`.
+        It draws with its own sampling. By default that of :func:`find_model`, or, where no seven comes near the targets
+        but another digit does, that of all digits (:func:`inflate_lib.alternatives.digits_model.load_digits_model`).
     profile : str, optional
         Take the weights of this profile only.
     data : xarray.Dataset, optional
@@ -247,9 +253,18 @@ def design(
     if start_from == "training":
         model = None
     else:
+        replaceable = model is profile is data is None
         model = (model or find_model(targets, profile)).made_for("steered")
         _check_model(model, targets)
-        _check_reach(targets, model.reach if data is None else data)
+        try:
+            _check_reach(targets, model.reach if data is None else data)
+        except ValueError:
+            if not replaceable or (model := _model_beyond_sevens(targets)) is None:
+                raise
+            if start_from == "both" and (data := nearest_digits(targets.vectors, n_jobs=n_jobs)) is None:
+                start_from = "model"
+            if say:
+                say(_BEYOND)
     structures = data if data is not None and "label" in data else None
     if start_from != "model" and structures is None:
         structures = _training_structures(model, say)
@@ -367,6 +382,19 @@ def find_model(targets: Targets, profile: str | None = None) -> Model:
     recipe = load_recipe(profile or _WEIGHTS[-1])
     data = simulated_sevens(recipe.source, recipe.n_structures)
     return trained_models([single], recipe, data)[single]
+
+
+def _model_beyond_sevens(targets):
+    """The model of all ten digits; None where none of them comes near the targets, or its weights are not there."""
+    try:
+        model = load_digits_model()
+    except FileNotFoundError:
+        return None
+    try:
+        check_reach(targets.vectors, model.reach)
+    except ValueError:
+        return None
+    return model
 
 
 def models_in_order():
@@ -500,7 +528,8 @@ def _about(model):
     about = {"descriptor": model.name, "weights": fingerprint(*weights, trained.condition_min, trained.condition_max)}
     if model.sampling.get("steering"):
         about["surrogate"] = trained.judge.fingerprint
-    return about | {key: trained.metadata[key] for key in ("profile", "source", "pairs") if key in trained.metadata}
+    told = ("profile", "source", "digits", "pairs")
+    return about | {key: trained.metadata[key] for key in told if key in trained.metadata}
 
 
 def _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refine, n_jobs):

@@ -8,6 +8,7 @@ import xarray as xr
 from inflate_lib import inflate, label_image, paths, simulate_dataset
 from inflate_lib.alternatives.all_digits import (
     compact,
+    nearest_digits,
     nearest_miss,
     reachable_area,
     save_compact,
@@ -46,6 +47,20 @@ def test_the_table_comes_back_to_four_digits(data, tmp_path):
         else:
             assert np.array_equal(back[name], values)
     assert sizes_of(back).shape == (11, 2)
+
+
+@pytest.mark.mnist
+def test_the_nearest_digits_are_those_of_the_table_and_inflate_to_it():
+    if resolve_source() != "mnist":
+        pytest.skip("MNIST cannot be had")
+    wanted = {"height": np.array([1.6]), "width": np.array([1.5])}
+    found, table = nearest_digits(wanted, 4, n_jobs=1), stored_digits()
+    assert np.allclose(found.height, table.height[found.structure.values], atol=2e-4)
+    sizes = np.column_stack([table.height, table.width])
+    misses = np.abs(sizes / [1.6, 1.5] - 1).max(axis=1)
+    assert np.array_equal(misses[found.structure.values], np.sort(misses)[:4])
+    leaning = {"axis": np.linspace([0, 0], [0.2, 1.45], 30).ravel()}  # it ends an increment below the top
+    assert nearest_digits(leaning, 1, n_jobs=1).height.item() == pytest.approx(1.5, abs=1e-2)
 
 
 def test_a_target_is_met_where_both_sizes_are():

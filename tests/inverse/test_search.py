@@ -445,6 +445,32 @@ def test_the_model_covers_what_is_asked(data, monkeypatch, tmp_path):
     assert [one.name for one in models_in_order()] == ["axis", "box", "area", "width", "height"]
 
 
+def test_beyond_the_sevens_the_model_of_all_digits_draws_and_says_so(model, data, monkeypatch):
+    trained = replace(model.trained, metadata={"digits": "all"})
+    trained.told = model.trained.told
+    larger = data.assign(height=1.3 * data.height)
+    monkeypatch.setattr(searching, "find_model", lambda targets, profile: model)
+    monkeypatch.setattr(searching, "load_digits_model", lambda: replace(model, trained=trained, reach=larger))
+    monkeypatch.setattr(candidates, "generate", lambda drawn_by, conditions, **_: DIGITS[: len(conditions)] / 255)
+    nearest = data.isel(structure=[5, 6, 7]).assign_coords(structure=[50, 60, 70])
+    monkeypatch.setattr(searching, "nearest_digits", lambda wanted, n_jobs: nearest)
+    wanted, said = {"height": 1.2 * float(data.height.max())}, []
+    found = design(wanted, 2, max_candidates=8, refine=0, n_jobs=1, say=said.append)
+    assert found.sources == {"training": 3, "model": 5} and found.model["digits"] == "all"
+    assert {one.origin.get("training structure") for one in found.designs} <= {50, 60, 70, None}
+    for text in (said[0], found.summary()):
+        assert "No seven comes near these targets: candidates are of all ten digits." in text
+    monkeypatch.setattr(searching, "nearest_digits", lambda wanted, n_jobs: None)  # MNIST is not at hand
+    assert design(wanted, 2, max_candidates=8, refine=0, n_jobs=1, say=None).sources == {"model": 8}
+    within = design({"height": float(data.height.max())}, 2, max_candidates=8, n_jobs=1, say=None, start_from="model")
+    assert "digits" not in within.model and "ten digits" not in within.summary()
+    for refused in ({"model": model}, {"profile": "laptop"}, {"data": data}, {"start_from": "training", "data": data}):
+        with pytest.raises(ValueError, match=r"height .* is out of reach. The 179 inflated structures"):
+            design(wanted, 2, say=None, **refused)
+    with pytest.raises(ValueError, match=r"height 9 is out of reach. The 179 .* reach height"):
+        design({"height": 9.0}, 2, say=None)
+
+
 def test_a_joint_model_is_asked_for_what_is_wanted_only(data):
     """The whole way with untrained weights: nothing usable may come out, and then that is what it says."""
     config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS)
