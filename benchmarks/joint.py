@@ -73,7 +73,7 @@ class Study:
         self.given, self.started, self.rows = given, time.monotonic(), []
         self.recipe = load_recipe(given.profile)
         self.models = {
-            name: load_model(name, given.profile).made_for("quick").sampled() for name in (*DESCRIPTORS, JOINT)
+            name: load_model(name, given.profile).made_for("steered").sampled() for name in (*DESCRIPTORS, JOINT)
         }
         self.data = simulated_sevens(given.source)
 

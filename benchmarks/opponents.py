@@ -93,7 +93,7 @@ class Study:
 
     def search(self, kind, start, number, targets, constraints):
         """What a search has found, batch by batch, and the designs in the end."""
-        given, model = self.given, find_model(targets, self.given.profile).made_for("quick")
+        given, model = self.given, find_model(targets, self.given.profile).made_for("steered")
         tolerance = TOLERANCE.get(kind, given.tolerance)
 
         seed = int(np.random.SeedSequence([given.seed, list(KINDS).index(kind), number]).generate_state(1)[0])
@@ -256,7 +256,7 @@ def main():
         "opponents.py",
         data=f"{study.data.attrs['source']}, {study.data.sizes['structure']} structures",
         profile=given.profile,
-        sampling=dict(load_model(profile=given.profile).made_for("quick").sampling),
+        sampling=dict(load_model(profile=given.profile).made_for("steered").sampling),
         seconds_per_target=given.seconds,
         designs=DESIGNS,
         tolerance={"outline": TOLERANCE["outline"], "all others": given.tolerance},
