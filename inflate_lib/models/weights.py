@@ -122,9 +122,9 @@ class Model:
         ----------
         purpose : {"faithful", "varied", "quick", "steered"}
             As the experiments of the paper are made, which is how every model comes; with more steps, which draw more
-            various structures; for designs, which inflate and refine whatever is drawn, with few; or corrected by a
-            surrogate of the simulation, which comes nearest to the target (where none is stored, as for "quick"). Where
-            there is a student (:mod:`inflate_lib.diffusion.distillation`), it answers for all but the first.
+            various structures; with few; or, for designs, corrected by a surrogate of the simulation, which comes
+            nearest to the target (where none is stored, as for "quick"). Where there is a student
+            (:mod:`inflate_lib.diffusion.distillation`), it answers for all but the first.
 
         Raises
         ------
