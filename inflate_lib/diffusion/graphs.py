@@ -78,10 +78,11 @@ class CapturedRun(Run):
 
     def compute(self) -> None:
         """All of a step that the device does alone: forward, backward, Adam, and the averages of weights and loss."""
-        self.optimiser.zero_grad(set_to_none=False)
+        self.forget()
         losses = self.losses(*self.inputs) / self.batch_size
         losses[0].backward()
-        self.optimiser.step()
+        recorded = self.stream is not None
+        self.follow(self.now[0] if recorded else self.rate(), capturable=recorded)
         with torch.no_grad():
             self.sums += losses
             torch._foreach_lerp_(self.ema, self.parameters, [self.now[1]] * len(self.ema))
@@ -95,7 +96,6 @@ class CapturedRun(Run):
             self.replay = self.compute
             return
         kept = {name: tensor.clone() for name, tensor in self.state().items()}
-        self.optimiser.param_groups[0] |= {"capturable": True, "lr": self.now[0]}
         graph = torch.cuda.CUDAGraph()
         self.stream.wait_stream(torch.cuda.current_stream())
         try:
@@ -119,8 +119,7 @@ class CapturedRun(Run):
             return
         for place, part in zip(self.inputs, self.draw(), strict=True):
             place.copy_(self.there(part))
-        rate = self.optimiser.param_groups[0]["lr"] = self.rate()
-        self.now.copy_(self.there(torch.tensor([rate, self.ema_step()])))
+        self.now.copy_(self.there(torch.tensor([self.rate(), self.ema_step()])))
         self.replay()
         self.step += 1
         self.summed += 1

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim.adam import adam
 
 from inflate_lib._files import draft, naming
 from inflate_lib._progress import Progress
@@ -63,12 +64,13 @@ class Loop:
         self.path, self.identity = None if folder is None else Path(folder) / self.checkpoint, identity
         self.parameters = list(net.parameters())
         self.device = self.parameters[0].device
-        on_gpu = self.device.type == "cuda"
-        self.optimiser = torch.optim.Adam(self.parameters, lr=learning_rate, fused=on_gpu)
-        for p in self.parameters:  # what Adam itself would begin with
-            step = torch.zeros((), device=self.device if on_gpu else "cpu")
-            self.optimiser.state[p] = {"step": step, "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
+        self.fused = self.device.type == "cuda"
+        for p in self.parameters:
             p.grad = torch.zeros_like(p)
+        # The counts of steps are tensors that a GPU adds to itself.
+        counts = [torch.zeros((), device=self.device if self.fused else "cpu") for _ in self.parameters]
+        means, squares = ([torch.zeros_like(p) for p in self.parameters] for _ in range(2))
+        self.adam = {"step": counts, "exp_avg": means, "exp_avg_sq": squares}
         self.step, self.history = 0, {name: [] for name in ("step", *self.parts)}
         self.seconds, self.per_step = 0.0, []  # spent in all; of one step, on average between entries of the history
         self.until = math.inf  # time.monotonic() at which the run stops, with a checkpoint to go on from
@@ -88,9 +90,9 @@ class Loop:
     def state(self) -> dict[str, Tensor]:
         """Every tensor that a step changes, by its name in the checkpoint."""
         tensors = {}
-        for name, p in self.net.named_parameters():
+        for number, (name, p) in enumerate(self.net.named_parameters()):
             tensors[f"net.{name}"] = p.detach()
-            tensors |= {f"adam.{name}.{key}": value for key, value in self.optimiser.state[p].items()}
+            tensors |= {f"adam.{name}.{key}": values[number] for key, values in self.adam.items()}
         return tensors
 
     def run(self, progress: bool | str, log: Path | None = None) -> None:
@@ -126,17 +128,32 @@ class Loop:
 
     def advance(self) -> None:
         """One step."""
-        for group in self.optimiser.param_groups:
-            group["lr"] = self.rate()
-        self.optimiser.zero_grad(set_to_none=False)  # a process without a row in this batch has a gradient, too
+        self.forget()  # not to None: a process without a row in this batch has a gradient, too
         losses = self.descend()
         ranks.add_up([*(p.grad for p in self.parameters), losses])
-        self.optimiser.step()
+        self.follow(self.rate())
         with torch.no_grad():
             self.sums += losses
             self.settle()
         self.step += 1
         self.summed += 1
+
+    def forget(self) -> None:
+        """Set the gradient to zero."""
+        torch._foreach_zero_([p.grad for p in self.parameters])
+
+    @torch.no_grad()
+    def follow(self, rate: float | Tensor, capturable: bool = False) -> None:
+        """Move the weights along the gradient, as Adam does.
+
+        By the function: the class ``torch.optim.Adam`` loads PyTorch's compiler, more than a second in each process.
+        """
+        gradients, moments = [p.grad for p in self.parameters], (self.adam["exp_avg"], self.adam["exp_avg_sq"])
+        adam(
+            self.parameters, gradients, *moments, [], self.adam["step"], lr=rate, beta1=0.9, beta2=0.999, eps=1e-8,
+            weight_decay=0.0, amsgrad=False, maximize=False, capturable=capturable,
+            fused=self.fused, foreach=not self.fused,
+        )  # fmt: skip
 
     def note(self) -> None:
         """Make an entry of the history; stop if the loss is lost."""

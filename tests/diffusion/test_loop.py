@@ -1,5 +1,8 @@
 """The training loop of every network: it learns, goes on where it was, and says where it is lost."""
 
+import subprocess
+import sys
+
 import pytest
 import torch
 
@@ -46,3 +49,15 @@ def test_a_loss_that_is_lost_is_an_error():
     net = torch.nn.Linear(1, 1)
     with pytest.raises(FloatingPointError, match="the training loss became nan between steps 0 and 1"):
         fit(net, lambda rows, _: net.weight.sum() * torch.nan, 5, 20)
+
+
+def test_training_loads_no_compiler():
+    """It would take a process longer than many a training here."""
+    code = """
+import sys, torch
+from inflate_lib.diffusion.loop import fit
+net = torch.nn.Linear(1, 1)
+fit(net, lambda rows, _: net(rows[:, None].float()).square().mean(), n=8, steps=2)
+assert "torch._dynamo" not in sys.modules
+"""
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stderr == ""
