@@ -61,8 +61,11 @@ def _close_pairs(x, step, edges, reach, sweep):
 
 
 @njit(cache=True, nogil=True)
-def _before_edges(x, step, edges, reach, sweep):
-    """The ends of these edges before one another, (·, 4) int: a node, both ends of the other edge, its own edge."""
+def before_edges(x, step, edges, reach, sweep):
+    """The ends of these edges before one another, (·, 4) int: a node, both ends of the other edge, its own edge.
+
+    All others stay farther apart than `reach` on the way from x to x + step, along one of the axes.
+    """
     pairs, count = _close_pairs(x, step, edges, reach, sweep), 0
     rows = np.empty((4 * len(pairs), 4), dtype=np.int64)
     for pair in range(len(pairs)):
@@ -78,14 +81,19 @@ def _before_edges(x, step, edges, reach, sweep):
 
 @njit(cache=True, nogil=True)
 def near_edges(x, edges, reach, sweep):
-    """Where an end of an edge is nearer than `reach` to another edge: rows as of :func:`_before_edges`."""
-    rows, count = _before_edges(x, np.zeros_like(x), edges, reach, sweep), 0
+    """Where an end of an edge is nearer than `reach` to another edge: rows as of :func:`before_edges`."""
+    return nearer(x, before_edges(x, np.zeros_like(x), edges, reach, sweep), reach)
+
+
+@njit(cache=True, nogil=True)
+def nearer(x, rows, reach):
+    """Those `rows` of :func:`before_edges` whose node is nearer than `reach` to the edge."""
+    found, count = np.empty_like(rows), 0
     for row in range(len(rows)):
-        if _distance(x, rows[row, 0], rows[row, 1], rows[row, 2])[0] < reach:
-            for a in range(4):
-                rows[count, a] = rows[row, a]
-            count += 1
-    return rows[:count]
+        for a in range(4):
+            found[count, a] = rows[row, a]
+        count += _distance(x, rows[row, 0], rows[row, 1], rows[row, 2])[0] < reach
+    return found[:count]
 
 
 @njit(cache=True, nogil=True)
@@ -103,13 +111,20 @@ def crossings(x, edges, sweep):
 @njit(cache=True, nogil=True)
 def first_touch(positions, edges, gap):
     """Index of the first of several states (states, n, 2) in which edges cross or come nearer than `gap`; or -1."""
-    sweep, still = np.arange(len(edges)), np.zeros(positions.shape[1:])
+    sweep = np.arange(len(edges))
     for state in range(len(positions)):
-        pairs = _close_pairs(positions[state], still, edges, gap, sweep)
-        for pair in range(len(pairs)):
-            if _separation(positions[state], edges, pairs[pair, 0], pairs[pair, 1]) < gap:
-                return state
+        if come_near(positions[state], edges, gap, sweep):
+            return state
     return -1
+
+
+@njit(cache=True, nogil=True)
+def come_near(x, edges, gap, sweep):
+    """Whether edges that share no node cross, or any come nearer than `gap`."""
+    for pair in _close_pairs(x, np.zeros_like(x), edges, gap, sweep):
+        if _separation(x, edges, pair[0], pair[1]) < gap:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)
@@ -195,12 +210,19 @@ def forces(walls, near):
 
 
 @njit(cache=True, nogil=True)
-def share_before_touch(walls, s):
-    """Largest share ≤ `s` of the step with which each node that would pass an edge keeps a share of its distance.
+def on_the_way(walls, s):
+    """What may come nearer than two gaps in a share `s` of the step, and a little beyond: rows of `before_edges`."""
+    return before_edges(walls.x, s / (1.0 - LEFT) * walls.step, walls.edges, 2.0 * walls.gap, walls.sweep)
+
+
+@njit(cache=True, nogil=True)
+def share_before_touch(walls, rows, s):
+    """Largest share ≤ `s` of the step with which each node of `rows` that would pass its edge keeps a share of its
+    distance.
 
     That distance counts as the gap's at most, so that a wall may come in one iteration to where the barrier acts.
     """
-    for row in _before_edges(walls.x, s / (1.0 - LEFT) * walls.step, walls.edges, 0.0, walls.sweep):
+    for row in rows:
         s = _share_before_edge(walls.x, walls.step, row[0], row[1], row[2], walls.gap, s)
     return s
 

@@ -421,7 +421,7 @@ def _pin(pattern, pinned, blocks):
 
 
 @njit(cache=True, nogil=True)
-def march(system, state, pressures, allowed, walls, start, last_pressure):
+def march(system, state, pressures, allowed, walls, acting, start, last_pressure):
     """Follow the equilibrium through the load steps.
 
     Newton's method on Π, with two changes to the tangent. Mixed integration points (Magisano et al. 2017): λ ln J is
@@ -430,9 +430,10 @@ def march(system, state, pressures, allowed, walls, start, last_pressure):
     new pressure Euler's predictor. The residual, and so the solution, is that of Π. A load step that fails is
     approached in halves. After `allowed` factorisations it gives up, so that every structure ends in bounded time.
 
-    With `walls`, the potential of the barrier between them is part of Π, and no iteration carries a node through an
-    edge. Where they are None, what only they need is left out of the compiled code. The march begins from `start`
-    (2 free), the equilibrium at `last_pressure`.
+    With `walls` that are `acting`, the potential of the barrier between them is part of Π, and no iteration carries a
+    node through an edge. Where they are not, the march ends before the first load step at which walls come near. Where
+    they are None, what only they need is left out of the compiled code. The march begins from `start` (2 free), the
+    equilibrium at `last_pressure`.
 
     Returns positions (steps + 1, 2 free), the number of load steps reached, the number of factorisations, and why the
     next one was not: 0, or TURNED_OVER, or UNCOUPLED, where walls come near whose nodes the pattern does not couple;
@@ -444,7 +445,9 @@ def march(system, state, pressures, allowed, walls, start, last_pressure):
         p, halvings = pressures[target], 0
         while True:  # sub-steps from last_pressure to pressures[target]
             trial = x.copy()
-            converged, spent, coupled = _newton(system, state, trial, p, converged, allowed - factorisations, walls)
+            converged, spent, coupled = _newton(
+                system, state, trial, p, converged, allowed - factorisations, walls, acting
+            )
             factorisations += spent
             if not coupled:
                 positions[-1] = trial
@@ -462,19 +465,27 @@ def march(system, state, pressures, allowed, walls, start, last_pressure):
         _gather(x, system.cells, system.fixed, state.corners)
         if _turned_over(state.corners, system.kind, system.gauss):
             return positions, target, factorisations, TURNED_OVER
+        if walls is not None:
+            spread(system, x, walls.x)
+            if not acting and _barrier.come_near(walls.x, walls.edges, walls.gap, walls.sweep):
+                positions[-1] = x
+                return positions, target, factorisations, UNCOUPLED
         for i in range(len(x)):
             positions[target, i] = x[i]
     return positions, len(pressures), factorisations, 0
 
 
 @njit(cache=True, nogil=True)
-def _newton(system, state, x, p, factorised, allowed, walls):
+def _newton(system, state, x, p, factorised, allowed, walls, acting):
     """Move `x` to equilibrium under the pressure p, with the tangent that `state` has where it is `factorised` already.
 
     Returns whether that succeeded, so that a factorised tangent is left, the number of factorisations, and whether the
     pattern couples all that is near one another.
     """
     factorisations, last_length, step = 0, 0.0, state.residual
+    if walls is not None:
+        near = rows = np.empty((0, 4), dtype=np.int64)
+        slack = 0.0  # all but the rows must move by so much to come near
     for iteration in range(MAX_ITERATIONS):
         move_to(system, state, x)
         if iteration == 0:
@@ -483,18 +494,22 @@ def _newton(system, state, x, p, factorised, allowed, walls):
                     state.pi[e, q] = system.lam * state.log_j[e, q]
         residual(system, state, p)
         if walls is not None:
-            spread(system, x, walls.x)
-            near = _barrier.near_edges(walls.x, walls.edges, walls.gap, walls.sweep)
-            if not _couples(system.pattern, walls.number, near):
-                return False, factorisations, False
-            push(system, state, walls, near)
+            if acting:
+                spread(system, x, walls.x)
+                if iteration == 0:
+                    rows, slack = _barrier.on_the_way(walls, 0.0), walls.gap
+                near = _barrier.nearer(walls.x, rows, walls.gap)
+                if not _couples(system.pattern, walls.number, near):
+                    return False, factorisations, False
+                push(system, state, walls, near)
         theta, fresh = 1.0, not factorised
         while not factorised:
             if factorisations >= allowed or theta < 0.0:
                 return False, factorisations, True
             tangent(system, state, p, theta)
             if walls is not None:
-                stiffen(system, state, walls, near, theta)
+                if len(near):
+                    stiffen(system, state, walls, near, theta)
             factorisations += 1
             factorised = factorise(system.pattern, state.tangent, state.inverses) == len(state.inverses)
             if not factorised:
@@ -507,9 +522,14 @@ def _newton(system, state, x, p, factorised, allowed, walls):
             step[i] = -step[i]
             length = max(length, abs(step[i]))
         s = min(1.0, MAX_MOVE / max(length, MAX_MOVE))
-        if walls is not None and length > 0.01 * walls.gap:
-            spread(system, step, walls.step)
-            s = _barrier.share_before_touch(walls, s)
+        if walls is not None:
+            if acting:
+                spread(system, step, walls.step)
+                slack -= 2.0 * s * length
+                if slack < 0.0:
+                    rows, slack = _barrier.on_the_way(walls, s), walls.gap
+                if length > 0.01 * walls.gap:
+                    s = _barrier.share_before_touch(walls, rows, s)
         if length > REUSE:  # shorter moves turn no element inside out, and are the last but a few
             s = _share_of_step(system, state, step, s)
         for i in range(len(x)):

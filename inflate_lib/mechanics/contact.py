@@ -152,26 +152,24 @@ def coupled_system(build, walls, positions, couplings=()):
     return system, couplings
 
 
-def keep_apart(build, walls, displacement, pressures, allowed):
-    """Follow an inflation anew from where walls come near one another, with the barrier between them.
+def keep_apart(system, build, walls, pressures, allowed):
+    """Follow an inflation, from where walls come near one another on with the barrier between them.
 
     Parameters
     ----------
+    system : System
+        That of the mesh, without walls.
     build : callable
         As for :func:`coupled_system`.
     walls : Walls
         As :func:`walls_of` gives them, at rest.
-    displacement : (steps, n, 2) float
-        Without contact, of the load steps that were reached.
     pressures : (steps,) float
-        All of them.
     allowed : int
         Factorisations.
 
     Returns
     -------
-    displacement : (reached, n, 2) float
-        The same array where no walls come near.
+    positions : (reached, n, 2) float
     factorisations : int
     why : int
         Why no more load steps were reached, as ``_kernels.march`` says it.
@@ -182,28 +180,24 @@ def keep_apart(build, walls, displacement, pressures, allowed):
         Where walls are nearer than the gap before they are inflated.
     """
     rest = walls.x.copy()
-    shapes = np.concatenate([rest[None], rest + displacement])
-    first = _barrier.first_touch(shapes, walls.edges, walls.gap)
-    if first == 0:
+    if _barrier.come_near(rest, walls.edges, walls.gap, walls.sweep):
         raise ValueError(f"contact: walls are nearer than the gap of {walls.gap:.3g} before they are inflated")
-    if first < 0 and len(displacement) == len(pressures):
-        return displacement, 0, 0
-    found, pressures = list(shapes if first < 0 else shapes[:first]), np.array([0.0, *pressures])
-    factorisations, why, near, couplings, tries = 0, 0, found[-1], (), 0
-    # Where a node is exactly before a node, as in symmetric structures, it is on a ridge: a push, and it finds a side.
-    push = walls.gap * np.random.default_rng(0).uniform(-1, 1, rest.shape)
+    found, pressures = rest[None], np.array([0.0, *pressures])
+    couplings, factorisations, why, tries = None, 0, 0, 0
     while len(found) < len(pressures) and factorisations < allowed and tries < len(_PUSHES):
-        system, couplings = coupled_system(build, walls, near, couplings)
-        at, walls.x[:] = len(found), rest
-        start = (found[-1] + _PUSHES[tries] * push)[system.order].ravel()
+        at, walls.x[:], acting = len(found), rest, couplings is not None
+        # Where a node is exactly before a node, as in symmetric structures, it is on a ridge: pushed, it finds a side.
+        push = walls.gap * np.random.default_rng(0).uniform(-1, 1, rest.shape) if tries else 0.0
         moved, reached, spent, why = _kernels.march(
-            system, _kernels.State.of(system), pressures[at:], min(allowed - factorisations, _PATIENCE), walls, start,
-            pressures[at - 1],
+            system, _kernels.State.of(system), pressures[at:],
+            min(allowed - factorisations, _PATIENCE) if acting else allowed, walls, acting,
+            (found[-1] + _PUSHES[tries] * push)[system.order].ravel(), pressures[at - 1],
         )  # fmt: skip
-        for free in moved[[*range(reached), -1]]:
-            found.append(found[-1].copy())
-            found[-1][system.order] = free.reshape(-1, 2)
-        near, factorisations = found.pop(), factorisations + spent
+        more = np.repeat(found[-1:], reached + 1, axis=0)
+        more[:, system.order] = moved[[*range(reached), -1]].reshape(reached + 1, -1, 2)
+        found, near, factorisations = np.concatenate([found, more[:-1]]), more[-1], factorisations + spent
         if why != _kernels.UNCOUPLED:
-            near, tries = found[-1], tries + 1 if len(found) == at else 1
-    return np.array(found[1:]).reshape(-1, *rest.shape) - rest, factorisations, why
+            near, tries = found[-1], (tries + 1 if not reached else 1) if acting else 0
+        if len(found) < len(pressures):
+            system, couplings = coupled_system(build, walls, near, () if couplings is None else couplings)
+    return found[1:], factorisations, why

@@ -187,19 +187,20 @@ def inflate(
     allowed, limit = max(_FACTORISATIONS[0], _FACTORISATIONS[1] * n_steps), ""
     if time_limit is not None and time_limit < allowed * nominal_seconds(system):
         allowed, limit = int(time_limit / nominal_seconds(system)), f", the time limit of {time_limit:g} s"
-    positions, reached, factorisations, why = _kernels.march(
-        system, _kernels.State.of(system), pressures, allowed, None, system.x0, 0.0
-    )
     displacement = np.full((n_steps, *mesh.nodes.shape), np.nan)
-    displacement[:reached] = 0.0
-    free_positions = positions[:reached].reshape(reached, len(system.order), 2)
-    displacement[:reached, system.order] = free_positions - mesh.nodes[system.order]
-    walls = None
-    if contact is not False:
+    if contact is False:
+        walls = None
+        positions, reached, factorisations, why = _kernels.march(
+            system, _kernels.State.of(system), pressures, allowed, None, False, system.x0, 0.0
+        )
+        displacement[:reached] = 0.0
+        free_positions = positions[:reached].reshape(reached, len(system.order), 2)
+        displacement[:reached, system.order] = free_positions - mesh.nodes[system.order]
+    else:
         walls, build = walls_of(mesh, gap, mu), partial(build_system, mesh, element, (lam, mu))
-        found, more, ended = keep_apart(build, walls, displacement[:reached], pressures, allowed - factorisations)
-        reached, factorisations, why = len(found), factorisations + more, ended if more else why
-        displacement[:reached], displacement[reached:] = found, np.nan
+        positions, factorisations, why = keep_apart(system, build, walls, pressures, allowed)
+        reached = len(positions)
+        displacement[:reached] = positions - mesh.nodes
     reason = ""
     if reached < n_steps:
         reason = f"no equilibrium was found at load step {reached + 1} of {n_steps} (pressure {pressures[reached]:.4g})"
