@@ -82,7 +82,7 @@ def newton(result):
         load[system.order] = -state.residual.reshape(-1, 2)
         residuals.append(np.abs(load).max())
         walls.step[:] = solve(system, state, load)
-        x += _barrier.share_before_touch(walls, 1.0) * walls.step
+        x += _barrier.share_before_touch(walls, _barrier.on_the_way(walls, 1.0), 1.0) * walls.step
     return residuals
 
 

@@ -493,7 +493,7 @@ def _newton(system, state, x, p, factorised, allowed, walls, acting):
                 for q in range(len(system.points)):
                     state.pi[e, q] = system.lam * state.log_j[e, q]
         residual(system, state, p)
-        if walls is not None:
+        if walls is not None:  # noqa: SIM102 - Numba leaves out what stands under this condition alone
             if acting:
                 spread(system, x, walls.x)
                 if iteration == 0:
@@ -508,8 +508,7 @@ def _newton(system, state, x, p, factorised, allowed, walls, acting):
                 return False, factorisations, True
             tangent(system, state, p, theta)
             if walls is not None:
-                if len(near):
-                    stiffen(system, state, walls, near, theta)
+                stiffen(system, state, walls, near, theta)
             factorisations += 1
             factorised = factorise(system.pattern, state.tangent, state.inverses) == len(state.inverses)
             if not factorised:
@@ -522,7 +521,7 @@ def _newton(system, state, x, p, factorised, allowed, walls, acting):
             step[i] = -step[i]
             length = max(length, abs(step[i]))
         s = min(1.0, MAX_MOVE / max(length, MAX_MOVE))
-        if walls is not None:
+        if walls is not None:  # noqa: SIM102
             if acting:
                 spread(system, step, walls.step)
                 slack -= 2.0 * s * length

@@ -18,9 +18,10 @@ al. 2023), and a node slides from one edge to the next without a kink. Walls in 
 press on one another with −κ b′, and the answer for walls that touch is the limit g → 0; κ hardly matters.
 
 Π_c is added to the potential of :mod:`inflate_lib.mechanics.inflation`: equilibria stay its minima, the tangent stays
-symmetric. Where nothing comes near, nothing is added. An inflation is therefore computed without contact first, and
-followed anew from the last load step before walls came near. The same Newton method then also shortens each step so
-that no node goes through an edge on its way, and the pattern of the tangent couples nodes and edges that are near.
+symmetric. Where nothing comes near, nothing is added. An inflation is therefore followed without the barrier until
+walls come near one another, and with it from the load step before. The same Newton method then also shortens each step
+so that no node goes through an edge on its way, and the pattern of the tangent couples nodes and edges that are near.
+Which these can be is looked up again only when the nodes have moved by half a gap.
 """
 
 from typing import TYPE_CHECKING
