@@ -25,9 +25,11 @@ export interface Try {
 }
 
 /**
- * Change a structure pixel by pixel until its largest miss is at most `goal`, or the tries are used up.
+ * Change a structure, by a pixel or two that lie beside each other at a time, until its largest miss is at most `goal`,
+ * or the tries are used up.
  *
- * A change is kept if it lowers the largest miss and the structure can still be built. `watch` hears of every try.
+ * A change is kept if it lowers the largest miss, leaves no crumb, and the structure can still be built. Crumbs of the
+ * drawing go first; where that brings it no nearer in the end, the structure stays as it is. `watch` hears of every try.
  */
 export function refine(
   image: Image,
@@ -41,18 +43,26 @@ export function refine(
   let label = labelImage(image, options);
   let result = inflate(label, options);
   if (findFlaw(result)) throw new Refusal("a structure that cannot be built cannot be refined");
-  const state: Try = { tried: 0, miss: largestMiss(targets, describe(result)), flipped: [], label };
-  let untried = mostPromising(label, result, targets);
+  const before = largestMiss(targets, describe(result));
+  const state: Try = { tried: 0, miss: before, flipped: [], label };
+  const rough = crumbs(flipped(label, []));
+  // Whatever comes of it, only the structure without crumbs is refined.
+  let [untried, miss] = rough.length ? [[rough], Number.POSITIVE_INFINITY] : [changes(label, result, targets), before];
+  let all: number[] = [];
   while (state.miss > goal && state.tried < tries && untried.length) {
-    const [pixel, ...others] = untried;
+    const [pixels, ...others] = untried;
     untried = others;
+    const cavity = flipped(label, pixels);
+    if (crumbs(cavity).length) continue;
     state.tried++;
-    const next = attempt(flipped(label, pixel), options);
-    const miss = next ? largestMiss(targets, describe(next.result)) : Number.POSITIVE_INFINITY;
-    if (next && miss <= state.miss * (1 - LESS)) {
+    const next = attempt(cavity, options);
+    const reached = next ? largestMiss(targets, describe(next.result)) : Number.POSITIVE_INFINITY;
+    if (next && Number.isFinite(reached) && reached <= miss * (1 - LESS) && !crumbs(flipped(next.label, [])).length) {
       ({ label, result } = next);
-      Object.assign(state, { miss, label, flipped: [...state.flipped, pixel] });
-      untried = mostPromising(label, result, targets);
+      miss = reached;
+      all = [...all, ...pixels];
+      untried = changes(label, result, targets);
+      if (miss < before) Object.assign(state, { miss, label, flipped: all });
     }
     watch({ ...state });
   }
@@ -71,25 +81,49 @@ function attempt(image: Image, options: LabelOptions & InflateOptions) {
   }
 }
 
-/** Pixels on either side of the border of the cavity, the one whose flip promises the smallest miss first. */
-function mostPromising(label: Image, result: Inflation, targets: Targets): number[] {
-  const pixels = border(label);
+/** What to flip, one pixel or two that lie beside each other, the change that promises the smallest miss first. */
+function changes(label: Image, result: Inflation, targets: Targets): number[][] {
+  const [pixels, size] = [border(label), Math.sqrt(label.length)];
+  const at = new Set(pixels);
+  const pairs = [1, size].flatMap((step) =>
+    pixels
+      .filter((k) => at.has(k + step) && (label[k] === VOID) === (label[k + step] === VOID))
+      .map((k) => [k, k + step]),
+  );
+  const all = [...pixels.map((k) => [k]), ...pairs];
   const found = describe(result);
-  const expected = new Float64Array(label.length);
+  const expected = new Float64Array(all.length);
   for (const [key, target] of Object.entries(targets)) {
     const name = key as DescriptorName;
     const nodes = deformed(result);
     const load = name === "outline" ? outlineGradient(nodes, target as number[]) : gradient(name, nodes);
     const change = load && flipChanges(label, sensitivities(result, load));
     const stays = deviation(name, found, target);
-    for (const k of pixels) {
-      let miss = stays; // of an axis no derivative is known
-      if (change && name === "outline") miss = stays + change[k];
-      else if (change) miss = Math.abs(((found[name] as number) + change[k]) / (target as number) - 1);
-      expected[k] = Math.max(expected[k], miss);
-    }
+    all.forEach((some, i) => {
+      const sum = change ? some.reduce((total, k) => total + change[k], 0) : 0; // of an axis no derivative is known
+      const miss =
+        change && name !== "outline" ? Math.abs(((found[name] as number) + sum) / (target as number) - 1) : stays + sum;
+      expected[i] = Math.max(expected[i], miss);
+    });
   }
-  return pixels.sort((a, b) => expected[a] - expected[b]);
+  return [...all.keys()].sort((i, j) => expected[i] - expected[j]).map((i) => all[i]);
+}
+
+/** Pixels to flip, so that none of a cavity has at most one neighbour on its own side; and those that they uncover. */
+export function crumbs(cavity: Image): number[] {
+  const size = Math.sqrt(cavity.length);
+  let smooth = cavity;
+  for (let round = 0; round < size; round++) {
+    const beside = (k: number) =>
+      (k >= size ? smooth[k - size] : 0) +
+      (k + size < smooth.length ? smooth[k + size] : 0) +
+      (k % size ? smooth[k - 1] : 0) +
+      ((k + 1) % size ? smooth[k + 1] : 0);
+    const next = smooth.map((value, k) => Number(value ? beside(k) > 1 : beside(k) >= 3));
+    if (next.every((value, k) => value === smooth[k])) break;
+    smooth = next;
+  }
+  return [...cavity.keys()].filter((k) => smooth[k] !== cavity[k]);
 }
 
 /** Void pixels with a side towards another label, and the pixels that they share it with. */
@@ -107,7 +141,9 @@ function border(label: Image): number[] {
   });
 }
 
-/** The cavity of a structure as an image, with one pixel flipped. */
-function flipped(label: Image, pixel: number): Image {
-  return label.map((value, k) => Number((value === VOID) !== (k === pixel)));
+/** The cavity of a structure as an image, with some pixels flipped. */
+function flipped(label: Image, pixels: number[]): Image {
+  const cavity = label.map((value) => Number(value === VOID));
+  for (const k of pixels) cavity[k] = 1 - cavity[k];
+  return cavity;
 }

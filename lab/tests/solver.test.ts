@@ -11,6 +11,7 @@ import { blockNumber, eliminate, factorise, solve } from "../src/factor.ts";
 import { deformed, inflate } from "../src/inflation.ts";
 import { FRAME, labelImage, labelled, pointJoints, turned, VOID, WALL } from "../src/labels.ts";
 import { boundaryLoops, buildMesh, cavityLines } from "../src/mesh.ts";
+import { crumbs, refine } from "../src/refine.ts";
 import { convexHull, medialAxis, outlineCorners, polygonArea, supportFunction } from "../src/shape.ts";
 import { general } from "../src/words.ts";
 
@@ -215,6 +216,40 @@ test("the largest miss counts, as a share of its target", () => {
   const found = describe(inflate(labelImage(bytes(reference.cases[0].image))));
   assert.ok(Math.abs(largestMiss({ height: found.height / 1.1, width: found.width }, found) - 0.1) < 1e-12);
   assert.equal(largestMiss({ axis: found.axis }, found), 0);
+});
+
+test("single pixels that stick out are crumbs, and what they uncover", () => {
+  const cavity = new Float64Array(FRAME ** 2);
+  const at = (row: number, column: number) => row * FRAME + column;
+  for (let k = 0; k < 64; k++) cavity[at(8 + (k >> 3), 8 + (k & 7))] = 1;
+  assert.deepEqual(crumbs(cavity), []);
+  for (const column of [16, 17, 18]) cavity[at(10, column)] = 1; // a line of three
+  cavity[at(15, 12)] = 0; // a dent
+  assert.deepEqual(crumbs(cavity), [at(10, 16), at(10, 17), at(10, 18), at(15, 12)]);
+});
+
+test("refinement brings a structure nearer and leaves no crumb", () => {
+  let [changed, rough] = [0, 0];
+  for (const { image } of reference.cases.slice(0, 12)) {
+    const label = labelImage(bytes(image));
+    if (findFlaw(inflate(label))) continue;
+    const height = 0.985 * describe(inflate(label)).height;
+    const found = refine(
+      label.map((value) => Number(value === VOID)),
+      { height },
+      {},
+      2e-3,
+      6,
+    );
+    assert.ok(Math.abs(describe(inflate(found.label)).height / height - 1) - found.miss < 1e-9);
+    if (!found.flipped.length) continue;
+    assert.ok(found.miss < 1 / 0.985 - 1);
+    const cavity = (some: Float64Array) => some.map((value) => Number(value === VOID));
+    assert.deepEqual(crumbs(cavity(found.label)), []);
+    changed++;
+    rough += Number(crumbs(cavity(label)).length > 0);
+  }
+  assert.ok(changed >= 3 && rough >= 1, `${changed} changed, ${rough} with crumbs`);
 });
 
 test("options out of range are refused", () => {
