@@ -44,7 +44,8 @@ class StabilisedInflation(Inflation):
     @cached_property
     def first_piola_kirchhoff(self) -> np.ndarray:
         """(steps, m, 4, 2, 2) in-plane part of P(F′) at the Gauss points, in units of μ and λ."""
-        return _first_piola_kirchhoff(self.deformation_gradient, self._weights, self.lame)
+        P = _first_piola_kirchhoff(self.deformation_gradient, self._weights, self.lame)
+        return self.stiffness[:, None, None] * P
 
     @property
     def _weights(self):
@@ -92,7 +93,7 @@ def residual(result, x, p):
     mesh, total = result.mesh, np.zeros_like(x)
     gradients, weights = shape_gradients(mesh.nodes[mesh.cells])
     F = np.einsum("mai,mqaj->mqij", x[mesh.cells], gradients)
-    P = _first_piola_kirchhoff(F, weights, result.lame)
+    P = result.stiffness[:, None, None] * _first_piola_kirchhoff(F, weights, result.lame)
     np.add.at(total, mesh.cells, np.einsum("mq,mqij,mqaj->mai", weights, P, gradients))
     along = np.diff(x[mesh.pressure_edges], axis=1)[:, 0]
     for ends in mesh.pressure_edges.T:

@@ -19,6 +19,7 @@ class TrainingConfig:
     Exactly one of ``steps`` and ``epochs`` gives the budget, and ``checkpoint_every`` counts in the same unit.
     """
 
+    image_channels: int = 1  # of the images; more than one where an image says more than where the digit is
     channels: tuple[int, ...] = (64, 128, 256)  # of the U-Net at each scale, finest first
     embedding: int = 256  # width of the context vector ζ
     hidden: int = 200  # width of the two hidden layers of the descriptor network
@@ -106,5 +107,5 @@ class TrainingConfig:
         """An untrained network; its weights follow from the seed."""
         widths = self.channels, self.embedding, self.hidden
         options = self.blocks, self.conditioning, self.attention
-        told = {"parts": self.parts, "told_guidance": self.strongest > 0}
+        told = {"parts": self.parts, "told_guidance": self.strongest > 0, "image_channels": self.image_channels}
         return initialised(lambda: UNet(n_conditions, *widths, *options, **told), self.seed)

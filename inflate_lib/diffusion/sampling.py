@@ -190,7 +190,7 @@ def generate(
 
     Returns
     -------
-    array, shape (m, h, w), float32 in [0, 1]
+    array, shape (m, h, w), or (m, c, h, w) where images have c > 1 channels; float32 in [0, 1]
 
     Raises
     ------
@@ -217,7 +217,7 @@ def generate(
         )
     scaled = torch.from_numpy(model.scaled(_checked(model, conditions))).float()
     place = choose_device(device)
-    net, size = model.net.to(place).eval(), model.image_size
+    net, shape = model.net.to(place).eval(), (model.config.image_channels, *model.image_size)
     states = []
     for first in range(0, len(scaled), batch_size):
         rows = range(first, min(first + batch_size, len(scaled)))
@@ -231,19 +231,19 @@ def generate(
             return _corrected(model, x, t, answer, lambda x0: steering * judge(x0.cpu(), y.cpu()).to(place))
 
         with torch.inference_mode():
-            noise = noise_images(seed, range(start + rows.start, start + rows.stop), size, place)
+            noise = noise_images(seed, range(start + rows.start, start + rows.stop), shape, place)
             states.append([])
             for x in denoise(
                 predict, model.schedule, noise, model.config.objective, sampler, steps, eta, crowding=crowding
             ):
                 if trajectory is None:
                     states[-1].clear()  # only the last state is wanted
-                states[-1].append(x[:, 0].cpu())
+                states[-1].append(x.squeeze(1).cpu())
     net.cpu()
     merged = [((torch.cat(batches) + 1) / 2).numpy() for batches in zip(*states, strict=True)]
     if trajectory is not None:
         trajectory.extend(merged)
-    return merged[-1].clip(0, 1) if merged else np.empty((0, *size), np.float32)
+    return merged[-1].clip(0, 1) if merged else torch.empty(0, *shape).squeeze(1).numpy()
 
 
 def _corrected(model: TrainedModel, x: Tensor, t: Tensor, answer: Tensor, correction: Callable) -> Tensor:
@@ -256,11 +256,11 @@ def _corrected(model: TrainedModel, x: Tensor, t: Tensor, answer: Tensor, correc
     return noise if objective == "epsilon" else alpha_bar.sqrt() * noise - (1 - alpha_bar).sqrt() * x0
 
 
-def noise_images(seed: int, rows: range, size: tuple[int, int], device: torch.device) -> Iterator[Tensor]:
-    """Standard normal images (n, 1, h, w) without end, each row from a generator of its own."""
+def noise_images(seed: int, rows: range, shape: tuple[int, ...], device: torch.device) -> Iterator[Tensor]:
+    """Standard normal images (n, c, h, w) without end, each row from a generator of its own; `shape` is (c, h, w)."""
     generators = [random_generator(seed, 3, row) for row in rows]
     while True:
-        yield torch.stack([torch.randn(1, *size, generator=g) for g in generators]).to(device)
+        yield torch.stack([torch.randn(shape, generator=g) for g in generators]).to(device)
 
 
 def _checked(model: TrainedModel, conditions: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ def train(
 
     Parameters
     ----------
-    images : array, shape (n, h, w)
+    images : array, shape (n, h, w), or (n, c, h, w) where the configuration has c > 1 ``image_channels``
         uint8, or float in [0, 1].
     conditions : array, shape (n, N) or (n,)
         Descriptors in raw units.
@@ -206,7 +206,7 @@ class Run(Loop):
         # The descriptor decides most where the noise is strong: the largest of k draws has a density ∝ t^(k − 1).
         t = torch.randint(config.T, (config.timestep_draws, n), generator=generator).amax(0)
         dropped = torch.rand(n, generator=generator) < config.condition_dropout
-        noise = torch.randn((n, 1, *self.images.shape[1:]), generator=generator)
+        noise = torch.randn((n, config.image_channels, *self.images.shape[-2:]), generator=generator)
         y = self.conditions[rows]
         if config.parts:  # each part is withheld every second time, so that any combination can be asked for
             withheld = torch.rand((n, len(config.parts)), generator=generator) < 0.5
@@ -264,14 +264,14 @@ class Run(Loop):
         if self.config.ema_decay > 0:
             with torch.no_grad():
                 torch._foreach_copy_(self.parameters, self.ema)
-        net, size = self.net.cpu().eval(), tuple(self.images.shape[1:])
+        net, size = self.net.cpu().eval(), tuple(self.images.shape[-2:])
         return TrainedModel(net, self.config, self.low, self.high, size, self.history, self.spent())
 
 
 def _to_network(images: Tensor) -> Tensor:
-    """Images (n, h, w), uint8 or float in [0, 1] → (n, 1, h, w) float32 in [−1, 1]."""
+    """Images (n, h, w) or (n, c, h, w), uint8 or float in [0, 1] → (n, c, h, w) float32 in [−1, 1]."""
     scale = 127.5 if images.dtype == torch.uint8 else 0.5
-    return images[:, None].float() / scale - 1
+    return images.reshape(len(images), -1, *images.shape[-2:]).float() / scale - 1
 
 
 def _checked(images, conditions, config: TrainingConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -283,8 +283,11 @@ def _checked(images, conditions, config: TrainingConfig) -> tuple[np.ndarray, np
     if conditions.ndim == 1:
         conditions = conditions[:, None]
     cell = 2 ** (len(config.channels) - 1)
-    if images.ndim != 3 or len(images) == 0 or images.shape[1] % cell or images.shape[2] % cell:
-        raise ValueError(f"images must have shape (n, h, w), h and w divisible by {cell}, not {images.shape}")
+    channels = (config.image_channels,) if config.image_channels > 1 else ()
+    fits = images.shape[1:-2] == channels and images.ndim == 3 + len(channels)
+    if not fits or len(images) == 0 or images.shape[-2] % cell or images.shape[-1] % cell:
+        shape = ", ".join(map(str, ("n", *channels, "h", "w")))
+        raise ValueError(f"images must have shape ({shape}), h and w divisible by {cell}, not {images.shape}")
     if images.dtype != np.uint8:
         images = images.astype(np.float32)
         if not np.isfinite(images).all() or images.min() < 0 or images.max() > 1:

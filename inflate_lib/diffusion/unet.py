@@ -99,6 +99,8 @@ class UNet(nn.Module):
         Lengths of the parts of y, in order, each of which may be withheld by NaN; empty: y is given or withheld whole.
     told_guidance : bool
         The strength of guidance is an input as well (:mod:`inflate_lib.diffusion.distillation`).
+    image_channels : int
+        Channels of the images.
     """
 
     def __init__(
@@ -112,6 +114,7 @@ class UNet(nn.Module):
         attention: bool = False,
         parts: Sequence[int] = (),
         told_guidance: bool = False,
+        image_channels: int = 1,
     ) -> None:
         super().__init__()
         whole_number("n_conditions", n_conditions, 0)
@@ -145,7 +148,7 @@ class UNet(nn.Module):
 
         first, last = channels[0], channels[-1]
         pairs = list(pairwise(channels))  # (finer, coarser)
-        self.stem = nn.Conv2d(1, first, 3, padding=1)
+        self.stem = nn.Conv2d(image_channels, first, 3, padding=1)
         self.down_blocks = stages([(first, first), *pairs])
         self.downs = nn.ModuleList([nn.Conv2d(c, c, 3, stride=2, padding=1) for c in channels[:-1]])
         self.middle = nn.ModuleList([block(last, last), block(last, last)])
@@ -154,7 +157,7 @@ class UNet(nn.Module):
         self.ups = nn.ModuleList([nn.Conv2d(coarse, fine, 3, padding=1) for fine, coarse in pairs])
         self.up_blocks = stages([(2 * last, last), *((2 * fine, fine) for fine, _ in pairs)])
         self.norm = nn.GroupNorm(math.gcd(_GROUPS, first), first)
-        self.out = nn.Conv2d(first, 1, 3, padding=1)
+        self.out = nn.Conv2d(first, image_channels, 3, padding=1)
         _zero(self.out)
         self.to(memory_format=torch.channels_last)
 
@@ -199,7 +202,7 @@ class UNet(nn.Module):
 
         Parameters
         ----------
-        x : Tensor, shape (n, 1, h, w)
+        x : Tensor, shape (n, c, h, w)
             Noisy images; h and w divisible by 2 ** (number of scales − 1).
         t : Tensor of int, shape (n,)
             Zero-based time steps.
@@ -212,7 +215,7 @@ class UNet(nn.Module):
 
         Returns
         -------
-        Tensor, shape (n, 1, h, w)
+        Tensor, shape (n, c, h, w)
         """
         context = F.silu(self.context(t, conditions, dropped, guidance))
         h = self.stem(x.contiguous(memory_format=torch.channels_last))

@@ -68,10 +68,10 @@ class System(NamedTuple):
     x0: np.ndarray  # (2 free,) undeformed coordinates of the free nodes
     cells: np.ndarray  # (m, 4) free nodes of each element, -1 where clamped
     fixed: np.ndarray  # (m, 4, 2) coordinates, used where clamped
-    kind: np.ndarray  # (m,) row of the tables below; one row serves all congruent elements
-    stiffness: np.ndarray  # (kinds, 4, 4) μ ∫ ∇N_a·∇N_b dV
+    kind: np.ndarray  # (m,) row of the tables below; one row serves all congruent elements of one rubber
+    stiffness: np.ndarray  # (kinds, 4, 4) μ ∫ ∇N_a·∇N_b dV, times the relative stiffness of the rubber
     dilatation: np.ndarray  # (kinds, d, 4, 4) antisymmetric G with J = Σ x_a G_ab y_b
-    weights: np.ndarray  # (kinds, d) undeformed area that belongs to each J
+    weights: np.ndarray  # (kinds, d) undeformed area that belongs to each J, times the relative stiffness
     gauss: np.ndarray  # (kinds, 4, 4, 4) G at the Gauss points, whatever the element
     place: np.ndarray  # (m, 4, 4) block of each pair a >= b of an element's nodes, -1 where one is clamped
     edges: np.ndarray  # (k, 2) free nodes of the pressure edges, -1 where clamped

@@ -123,7 +123,7 @@ def walls_of(mesh, gap, mu):
     length = np.hypot(*(mesh.nodes[edges[:, 1]] - mesh.nodes[edges[:, 0]]).T)
     gap = GAP * length.min() if gap is None else gap
     nodes, number = mesh.nodes.copy(), np.full(len(mesh.nodes), -1)
-    weights = 0.25 * STIFFNESS * mu * length
+    weights = 0.25 * STIFFNESS * mu * np.mean(mesh.stiffness) * length  # κ hardly matters: one for all rubbers
     return _barrier.Walls(edges, weights, gap, number, nodes, np.zeros_like(nodes), np.arange(len(edges)))
 
 

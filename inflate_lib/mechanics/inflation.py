@@ -66,7 +66,7 @@ class Inflation:
     factorisations : int
         Number of factorisations of the tangent, the measure of effort.
     lame : (float, float)
-        Lamé parameters (λ, μ).
+        Lamé parameters (λ, μ), which ``mesh.stiffness`` multiplies in each element.
     gap : float
         Distance at which walls begin to push one another away; 0 without contact.
     """
@@ -104,6 +104,11 @@ class Inflation:
         positions = (self.nodes + self.displacement)[:, self.cells]
         return np.einsum("smai,mqaj->smqij", positions, gradients)
 
+    @property
+    def stiffness(self) -> np.ndarray:
+        """(m, 1) or (1, 1), for the Gauss points of each element: what λ and μ are multiplied by there."""
+        return np.reshape(self.mesh.stiffness, (-1, 1))
+
     @cached_property
     def stretch_across(self) -> np.ndarray:
         """(steps, m, 4) stretch F₃₃ across the plane at the Gauss points: 1, but for MOOSE's element."""
@@ -120,7 +125,7 @@ class Inflation:
             _, weights = shape_gradients(self.nodes[self.cells])
             J = F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
             J = np.broadcast_to(np.average(J, axis=-1, weights=np.broadcast_to(weights, J.shape))[..., None], J.shape)
-        return material.first_piola_kirchhoff(F, self.lame, J)
+        return self.stiffness[:, None, None] * material.first_piola_kirchhoff(F, self.lame, J)
 
 
 def inflate(
@@ -133,6 +138,7 @@ def inflate(
     clamped: str = "bottom",
     time_limit: float | None = None,
     contact: bool | float = False,
+    stiffness: np.ndarray | None = None,
 ) -> Inflation:
     """Inflate a structure given as a label image.
 
@@ -160,6 +166,9 @@ def inflate(
         Whether walls push one another away, without friction (:mod:`inflate_lib.mechanics.contact`), or pass through
         one another, as in the paper. A number is the gap at which they begin to, in lengths of the unit square; True
         takes a tenth of the shortest edge, which is a tenth of a pixel without refinement.
+    stiffness : (s, s) array_like, optional
+        Walls of several rubbers: what λ and μ are multiplied by in each pixel of the label image. Only pixels of the
+        wall are looked at. A mesh has its own.
 
     Returns
     -------
@@ -180,7 +189,9 @@ def inflate(
         positive_number("time_limit", time_limit, "seconds")
     if contact is not False:
         gap = None if contact is True else positive_number("contact", contact, "lengths of the unit square, or a bool")
-    mesh = check_mesh(label) if isinstance(label, Mesh) else build_mesh(label, refine, clamped)
+    if isinstance(label, Mesh) and stiffness is not None:
+        raise ValueError("stiffness: a mesh has its own, one number for each of its cells; leave the argument out")
+    mesh = check_mesh(label) if isinstance(label, Mesh) else build_mesh(label, refine, clamped, stiffness)
 
     system = build_system(mesh, element, (lam, mu))
     n_steps = len(pressures)
@@ -304,12 +315,17 @@ def build_system(mesh, element="mean-dilatation", lame=(LAMBDA, MU), couplings=N
     corners = mesh.nodes[mesh.cells]
     relative = corners - corners[:, :1]
     congruent = np.abs(relative - relative[:1]).max() <= 1e-12 * np.abs(relative[:1]).max()
-    kind = np.zeros(len(cells), dtype=np.int64) if congruent else np.arange(len(cells))
     # One row for congruent elements; rounded, so that it is the same for all meshes of the same pixels.
     shapes = np.round(relative[:1], 15) if congruent else relative
     tables = _remembered_tables(shapes.tobytes(), element) if congruent else _element_tables(shapes, element)
+    kind = np.zeros(len(cells), dtype=np.int64) if congruent else np.arange(len(cells))
+    rubbers = np.reshape(mesh.stiffness, (-1, 1, 1))
+    if congruent and len(rubbers) > 1:  # a row for each rubber
+        rubbers, kind = np.unique(mesh.stiffness, return_inverse=True)
+        rubbers, tables = rubbers[:, None, None], [np.repeat(table, len(rubbers), axis=0) for table in tables]
     stiffness, dilatation, gauss, weights = tables
-    stiffness = mu * stiffness
+    # k has μ and the weights have φ as a factor: a stiffer element is one that counts more.
+    stiffness, weights = mu * rubbers * stiffness, rubbers[:, 0] * weights
 
     constant, pressure, place = _kernels.assemble_constant(pattern, cells, kind, stiffness, edges)
     pinned = held[order] if held[order].any() else np.zeros((0, 2), dtype=bool)

@@ -30,15 +30,20 @@ class Mesh:
     clamped : (n,) or (n, 2) bool
         Nodes that cannot move: those on the clamped edge. With two columns, directions (x, y) in which a node cannot
         move, as on the symmetry lines of a verification problem.
+    stiffness : (m,) float, or float
+        Of each quadrilateral, what λ and μ are multiplied by: 1 where the wall is of one rubber.
     """
 
     nodes: np.ndarray
     cells: np.ndarray
     pressure_edges: np.ndarray
     clamped: np.ndarray
+    stiffness: np.ndarray | float = 1.0
 
 
-def build_mesh(label: np.ndarray, refine: int = 1, clamped: str = "bottom") -> Mesh:
+def build_mesh(
+    label: np.ndarray, refine: int = 1, clamped: str = "bottom", stiffness: np.ndarray | None = None
+) -> Mesh:
     """Mesh the wall of a label image.
 
     Parameters
@@ -49,6 +54,8 @@ def build_mesh(label: np.ndarray, refine: int = 1, clamped: str = "bottom") -> M
         Sub-elements per pixel and direction.
     clamped : {"bottom", "left", "top", "right"}
         Edge of the image whose nodes cannot move. The ground behind it may close the cavity.
+    stiffness : (s, s) array_like, optional
+        Of each pixel, what λ and μ are multiplied by, in walls of several rubbers; what is no wall is not looked at.
 
     Returns
     -------
@@ -58,11 +65,13 @@ def build_mesh(label: np.ndarray, refine: int = 1, clamped: str = "bottom") -> M
     ------
     ValueError
         Where the labels are no label image, nothing is clamped, the wall falls into several pieces, or the cavity is
-        missing or open.
+        missing or open; or where a pixel of the wall has no positive stiffness.
     """
     label = _check_label(label, clamped)
     whole_number("refine", refine, 1)
-    label = np.kron(label, np.ones((refine, refine))) if refine > 1 else label
+    relative = 1.0 if stiffness is None else _check_stiffness(stiffness, label)
+    if refine > 1:
+        label, relative = (np.kron(image, np.ones((refine, refine))) for image in (label, relative))
     size = len(label)
 
     # Lattice point (r, c) is the upper left corner of pixel (r, c); row 0 is the top of the picture.
@@ -77,7 +86,9 @@ def build_mesh(label: np.ndarray, refine: int = 1, clamped: str = "bottom") -> M
     lattice_row, lattice_column = np.divmod(np.flatnonzero(used), size + 1)
     x, y = lattice_column, size - lattice_row
     held = {"bottom": y == 0, "left": x == 0, "top": y == size, "right": x == size}[clamped]
-    return Mesh(np.column_stack([x, y]) / size, number[lattice_cells], number[lattice_edges], held)
+    if stiffness is not None:
+        relative = relative[row, column]
+    return Mesh(np.column_stack([x, y]) / size, number[lattice_cells], number[lattice_edges], held, relative)
 
 
 def check_mesh(mesh):
@@ -86,10 +97,10 @@ def check_mesh(mesh):
     if nodes.dtype != float or nodes.shape != (n, 2) or not np.isfinite(nodes).all():
         raise ValueError("mesh: nodes must be finite coordinates in double precision, of shape (n, 2)")
     for name, width in (("cells", 4), ("pressure_edges", 2)):
-        numbers = np.asarray(getattr(mesh, name))
-        if numbers.ndim != 2 or numbers.shape[1] != width or not np.issubdtype(numbers.dtype, np.integer):
-            raise ValueError(f"mesh: {name} must be node numbers of shape (·, {width}), not {numbers.shape}")
-        if numbers.size and not 0 <= numbers.min() <= numbers.max() < n:
+        found = np.asarray(getattr(mesh, name))
+        if found.ndim != 2 or found.shape[1] != width or not np.issubdtype(found.dtype, np.integer):
+            raise ValueError(f"mesh: {name} must be node numbers of shape (·, {width}), not {found.shape}")
+        if found.size and not 0 <= found.min() <= found.max() < n:
             raise ValueError(f"mesh: {name} has numbers outside 0 … {n - 1}")
     x, y = np.moveaxis(nodes[mesh.cells], -1, 0)
     twice_area = (x[:, 2] - x[:, 0]) * (y[:, 3] - y[:, 1]) - (x[:, 3] - x[:, 1]) * (y[:, 2] - y[:, 0])
@@ -102,6 +113,9 @@ def check_mesh(mesh):
         raise ValueError(f"mesh: clamped must be bool of shape ({n},) or ({n}, 2), not {clamped.shape}")
     if clamped.all() or not clamped.any():
         raise ValueError("mesh: some nodes must be clamped, and some free")
+    stiffness = numbers("mesh: stiffness", mesh.stiffness, "a positive number, or one for each cell")
+    if stiffness.shape not in ((), (len(mesh.cells),)) or not np.all(stiffness > 0):
+        raise ValueError(f"mesh: stiffness must be a positive number, or one for each of {len(mesh.cells)} cells")
     return mesh
 
 
@@ -126,6 +140,22 @@ def _check_label(label, clamped="bottom"):
     if is_open(label, clamped):
         raise ValueError("label: the cavity is open, because a void pixel (1) touches the outside (0) or the frame")
     return label
+
+
+def _check_stiffness(stiffness, label):
+    """Return `stiffness` as a float array, or raise a ValueError that says what is wrong with it."""
+    wanted = "numbers, one for each pixel of the label image"
+    stiffness = numbers("stiffness", stiffness, wanted, finite=False)
+    if stiffness.shape != label.shape:
+        raise ValueError(f"stiffness must be {wanted}, of shape {label.shape}, not {stiffness.shape}")
+    bad = (label == WALL) & ~((stiffness > 0) & np.isfinite(stiffness))
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise ValueError(
+            f"stiffness must be positive wherever there is wall; in row {row}, column {column} it is "
+            f"{stiffness[row, column]:g} (1 is the material itself)"
+        )
+    return stiffness
 
 
 def _cavity_edges(label):

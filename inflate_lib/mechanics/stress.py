@@ -36,8 +36,8 @@ def cauchy_stress(result: "Inflation") -> np.ndarray:
         NaN at load steps without equilibrium. With mean dilatation φ′ is the element's, as in the equilibrium.
     """
     F, P, gamma = result.deformation_gradient, result.first_piola_kirchhoff, result.stretch_across
-    mu, J = result.lame[1], gamma**2 * area_ratio(result)
-    slope = ((P - mu * gamma[..., None, None] * F) * F).sum((-1, -2)) / (2 * J)  # φ′
+    mu, J = result.lame[1] * result.stiffness, gamma**2 * area_ratio(result)
+    slope = ((P - (mu * gamma)[..., None, None] * F) * F).sum((-1, -2)) / (2 * J)  # φ′
     sigma = np.zeros((*F.shape[:-2], 3, 3))
     sigma[..., :2, :2] = P @ np.swapaxes(F, -1, -2) / J[..., None, None]
     sigma[..., 2, 2] = mu * gamma / J + slope
@@ -50,11 +50,15 @@ def von_mises(result: "Inflation") -> np.ndarray:
     xx, yy = np.moveaxis((F**2).sum(-1), -1, 0)  # of b
     xy = (F[..., 0, :] * F[..., 1, :]).sum(-1)
     squares = ((xx - yy) ** 2 + (yy - 1) ** 2 + (1 - xx) ** 2) / 2 + 3 * xy**2
-    return (result.lame[1] / (result.stretch_across * area_ratio(result)) * np.sqrt(squares)).mean(-1)
+    mu = result.lame[1] * result.stiffness
+    return (mu / (result.stretch_across * area_ratio(result)) * np.sqrt(squares)).mean(-1)
 
 
 def von_mises_over_mu(result: "Inflation") -> np.ndarray:
-    """(steps, m) σ/μ, the von Mises stress of each element in shear moduli: what does not depend on the unit."""
+    """(steps, m) σ/μ, the von Mises stress of each element in shear moduli: what does not depend on the unit.
+
+    In a wall of several rubbers μ is that of stiffness 1.
+    """
     return von_mises(result) / result.lame[1]
 
 

@@ -133,7 +133,7 @@ def drawn_apart(page, model, purpose, targets, n=2):
 
     model = model.made_for(purpose)
     wanted = model.draw(targets, n, seed=1)
-    made = noise_images(seed_for(1, name_of(targets)), range(n), (28, 28), torch.device("cpu"))
+    made = noise_images(seed_for(1, name_of(targets)), range(n), (1, 28, 28), torch.device("cpu"))
     noise = [next(made).ravel().tolist() for _ in range(model.sampling["steps"] + 1)]
     told = {name: np.asarray(value).tolist() for name, value in targets.items()}
     found = _called(page, _DRAWN, told, {"n": n, "purpose": purpose, "noise": noise})
