@@ -60,6 +60,7 @@ def simulate_dataset(
     folder: Path | None = None,
     backend: str | None = None,
     time_limit: float | None = None,
+    stiffness: np.ndarray | None = None,
 ) -> "xr.Dataset":
     """Label, inflate and describe many images.
 
@@ -84,6 +85,8 @@ def simulate_dataset(
     time_limit : float, optional
         Seconds of a nominal core after which a structure is given up, see :func:`inflate_lib.inflate`; by default 1,
         or 0.1 per load step if that is more.
+    stiffness : (n, 28, 28) array_like, optional
+        Of each pixel of the label images, see :func:`inflate_lib.inflate`.
 
     Returns
     -------
@@ -104,6 +107,8 @@ def simulate_dataset(
         failure). What is in `folder` by then is not done again.
     """
     images = _as_sequence(images)
+    if stiffness is not None and len(stiffness) != len(images):
+        raise ValueError(f"stiffness: there are {len(stiffness)} of them for {len(images)} images")
     if n_jobs is None:
         n_jobs = get_active_backend()[1] or -1
     workers(n_jobs)
@@ -121,7 +126,7 @@ def simulate_dataset(
             return _workers.run_on_cluster(address, _simulate, tasks)
         return _workers.run_here(_simulate, tasks, 1 if len(images) <= ALONE else n_jobs, backend)
 
-    done = _pieces(images, n_steps, time_limit, folder, run)
+    done = _pieces(images, n_steps, time_limit, folder, run, stiffness)
     if progress_text:
         done = _progress.track(((len(rows["image"]), rows) for rows in done), len(images), "inflating structures")
     return _assemble(list(done), n_steps)
@@ -208,7 +213,7 @@ def _as_sequence(images):
     return images
 
 
-def _pieces(images, n_steps, time_limit, folder, run):
+def _pieces(images, n_steps, time_limit, folder, run, stiffness=None):
     """The rows of all images piece by piece, in order.
 
     Each piece is stored here, where the results come together, as soon as it is there: workers need not see `folder`.
@@ -217,11 +222,13 @@ def _pieces(images, n_steps, time_limit, folder, run):
     starts = range(0, len(images), size)
 
     def read(number):
-        return _read(images, starts[number], min(starts[number] + size, len(images)))
+        rows = slice(starts[number], min(starts[number] + size, len(images)))
+        return *_read(images, rows.start, rows.stop), None if stiffness is None else np.asarray(stiffness[rows])
 
     def file(number):
-        piece, reasons = read(number)
-        key = digest(piece, repr((reasons, n_steps, float(time_limit))), code_of_dataset())
+        piece, reasons, stiff = read(number)
+        told = repr((reasons, n_steps, float(time_limit)))
+        key = digest(piece, told, code_of_dataset(), *([] if stiff is None else [stiff]))
         return folder / f"{starts[number]:06d}-{key[:16]}.npz"
 
     files = {} if folder is None else {number: file(number) for number in range(len(starts))}
@@ -256,7 +263,7 @@ def _read(images, start, stop):
     return usable, reasons
 
 
-def _simulate(images, reasons, n_steps, time_limit, measured):
+def _simulate(images, reasons, stiffness, n_steps, time_limit, measured):
     """The rows of a few images, as a dict of arrays.
 
     The descriptors that are `measured` come along, since those that a user registered are unknown to other processes.
@@ -279,7 +286,8 @@ def _simulate(images, reasons, n_steps, time_limit, measured):
             continue
         try:
             rows["label"][i] = label = labels.label_image(image)
-            result = inflation.inflate(label, n_steps=n_steps, time_limit=time_limit)
+            relative = None if stiffness is None else stiffness[i]
+            result = inflation.inflate(label, n_steps=n_steps, time_limit=time_limit, stiffness=relative)
             rows["factorisations"][i], rows["reason"][i] = result.factorisations, result.reason
             flaw = find_flaw(result)
             rows["flaw"][i] = flaw.name.lower() if flaw else ""

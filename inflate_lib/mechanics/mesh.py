@@ -87,7 +87,7 @@ def build_mesh(
     x, y = lattice_column, size - lattice_row
     held = {"bottom": y == 0, "left": x == 0, "top": y == size, "right": x == size}[clamped]
     if stiffness is not None:
-        relative = relative[row, column]
+        relative = np.asarray(relative)[row, column]
     return Mesh(np.column_stack([x, y]) / size, number[lattice_cells], number[lattice_edges], held, relative)
 
 

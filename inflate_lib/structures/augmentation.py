@@ -92,8 +92,11 @@ def _structure_boxes(images, wall=THICKNESS):
     return boxes
 
 
-def apply_variants(images: np.ndarray, variants: np.ndarray) -> np.ndarray:
-    """The images that the variants stand for, (m, 28, 28), in the type of ``images`` (n, 28, 28); new pixels are 0."""
+def apply_variants(images: np.ndarray, variants: np.ndarray, repeat_edge: bool = False) -> np.ndarray:
+    """The images that the variants stand for, (m, 28, 28), in the type of ``images`` (n, 28, 28).
+
+    Pixels that come from beyond the frame are 0, or with `repeat_edge` those of its edge.
+    """
     images, variants = np.asarray(images), np.asarray(variants)
     structure, flip, shift_x, shift_y = variants.T
     pixels = np.arange(FRAME)
@@ -101,8 +104,10 @@ def apply_variants(images: np.ndarray, variants: np.ndarray) -> np.ndarray:
     column = pixels - shift_x[:, None]
     row_inside, column_inside = (0 <= row) & (row < FRAME), (0 <= column) & (column < FRAME)
     column = np.where(flip[:, None] == 1, FRAME - 1 - column, column)
-    moved = images[structure[:, None, None], row[:, :, None] % FRAME, column[:, None, :] % FRAME]
-    moved[~(row_inside[:, :, None] & column_inside[:, None, :])] = 0
+    row, column = row.clip(0, FRAME - 1), column.clip(0, FRAME - 1)
+    moved = images[structure[:, None, None], row[:, :, None], column[:, None, :]]
+    if not repeat_edge:
+        moved[~(row_inside[:, :, None] & column_inside[:, None, :])] = 0
     return moved
 
 

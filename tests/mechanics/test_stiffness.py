@@ -12,7 +12,8 @@ from inflate_lib.alternatives.reference import incompressible_tube, quarter_ring
 from inflate_lib.alternatives.stabilised import inflate_with, residual
 from inflate_lib.descriptors import describe
 from inflate_lib.descriptors.registry import get_descriptor
-from inflate_lib.mechanics import peaks, sensitivities, von_mises
+from inflate_lib.inverse.adjoint import sensitivities
+from inflate_lib.mechanics import peaks, von_mises
 from inflate_lib.mechanics.contact import contact_forces, self_contact
 from inflate_lib.mechanics.inflation import ELEMENTS, LAMBDA, MU, PRESSURE
 from inflate_lib.structures.labels import WALL

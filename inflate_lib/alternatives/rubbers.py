@@ -1,0 +1,223 @@
+"""Beyond the paper: walls of two rubbers, the second of which is stiffer (its conclusion names the idea).
+
+A structure is two images: the grey one, in which walls are encoded (:mod:`inflate_lib.structures.labels`), and beside
+it a *map* of the stiff rubber, true where the wall is of it. What is asked of the map are the pixels of the
+wall; a wall that grows beyond the frame takes the nearest of its edge. So image and map can be flipped and shifted
+together, and stand for the flipped structure (:func:`two_channels`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from scipy import ndimage
+
+from inflate_lib._cache import cached, digest, step_version
+from inflate_lib._checks import choice, positive_number, whole_number
+from inflate_lib.datasets.pairs import held_out
+from inflate_lib.datasets.simulate import code_of_dataset, simulate_dataset
+from inflate_lib.datasets.storage import load_dataset, save_dataset
+from inflate_lib.descriptors.registry import JOINT
+from inflate_lib.models.recipe import Recipe
+from inflate_lib.models.remote import train_and_test
+from inflate_lib.models.train import training_set
+from inflate_lib.structures import sources
+from inflate_lib.structures.augmentation import apply_variants
+from inflate_lib.structures.labels import FRAME, THICKNESS, as_grey, main_component, stages
+
+RATIO = 4.0  # stiffness of the second rubber, in that of the first
+FAMILIES = ("side", "half", "bands", "patches")
+_DIRECTIONS = {"right": (0, 1), "left": (0, -1), "top": (-1, 0), "bottom": (1, 0)}  # (row, column)
+
+
+def pattern(image: np.ndarray, family: str, rng: np.random.Generator) -> np.ndarray:
+    """A map of the stiff rubber for a grey image.
+
+    Parameters
+    ----------
+    image : (28, 28) array
+    family : {"side", "half", "bands", "patches"}
+        The wall on the right, left, upper or lower side of the digit's line; all wall in one half of the frame,
+        cut through the middle of the digit; stripes of equal width, 2 to 6 pixels, in any direction; or one to three
+        discs, of 3 to 6 pixels in radius, around pixels of the digit.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (28, 28) bool
+        Where the wall is stiff; False far from the wall.
+    """
+    digit = main_component(as_grey(image))
+    spots = np.argwhere(digit)
+    place = np.indices((FRAME, FRAME)).transpose(1, 2, 0)
+    if choice("family", family, FAMILIES) == "side":
+        # The wall lies on the side of the line to which its blurred image falls off.
+        slope = np.stack(np.gradient(ndimage.gaussian_filter(np.pad(digit.astype(float), 4), 1.5)), -1)[4:-4, 4:-4]
+        stiff = slope @ _direction(rng) < 0
+    elif family == "half":
+        stiff = (place - spots.mean(axis=0)) @ _direction(rng) > 0
+    elif family == "bands":
+        angle, width = rng.uniform(0, np.pi), rng.uniform(2, 6)
+        stiff = (place @ [np.cos(angle), np.sin(angle)] / width + rng.uniform(0, 2)) % 2 < 1
+    else:
+        centres = spots[rng.integers(len(spots), size=rng.integers(1, 4))]
+        radii = rng.uniform(3, 6, size=len(centres))
+        stiff = (np.hypot(*(place[..., None, :] - centres).transpose(3, 0, 1, 2)) < radii).any(axis=-1)
+    near = ndimage.maximum_filter(digit, size=2 * THICKNESS + 1)
+    return stiff & near
+
+
+def _direction(rng):
+    return _DIRECTIONS[rng.choice(list(_DIRECTIONS))]
+
+
+def stiffness_of(
+    image: np.ndarray, stiff: np.ndarray, ratio: float = RATIO, wall: int = THICKNESS, clamped: str = "bottom"
+) -> np.ndarray:
+    """The stiffness of each pixel of ``label_image(image)``: what :func:`inflate_lib.inflate` is told of two rubbers.
+
+    Parameters
+    ----------
+    image : (28, 28) array
+        Grey image.
+    stiff : (28, 28) array
+        Map of the stiff rubber, bool; or a grey image, which is stiff where it is brighter than half.
+    ratio : float
+        Stiffness of that rubber; 1 is the paper's.
+    wall, clamped
+        As for :func:`inflate_lib.label_image`.
+
+    Returns
+    -------
+    (28, 28) float
+        1 or `ratio`; the map, moved to the ground as the label image is.
+    """
+    positive_number("ratio", ratio)
+    done = stages(image, wall=wall, clamped=clamped)
+    before, after = np.argwhere(done.composite)[0], np.argwhere(done.shifted)[0]
+    moved = np.pad(as_grey(stiff) > 0.5, wall, mode="edge")  # on the canvas that the wall has grown on
+    moved = np.roll(moved, after - before, axis=(0, 1))
+    return np.where(moved[wall:-wall, wall:-wall], ratio, 1.0)
+
+
+def simulate_rubbers(images: np.ndarray, maps: np.ndarray, ratio: float = RATIO, **how) -> xr.Dataset:
+    """Inflate and describe structures of two rubbers.
+
+    Parameters
+    ----------
+    images, maps : (n, 28, 28) array
+        Grey images and the maps of their stiff rubber.
+    ratio : float
+    how
+        ``n_jobs`` and the like, see :func:`inflate_lib.simulate_dataset`.
+
+    Returns
+    -------
+    xarray.Dataset
+        That of :func:`inflate_lib.simulate_dataset`, with the variable ``stiff``, the maps, and the attribute
+        ``stiffness_ratio``. Stresses are in units of the soft rubber's.
+    """
+    stiffness = np.array([_stiffness_or_soft(*pair, ratio) for pair in zip(images, maps, strict=True)])
+    data = simulate_dataset(images, stiffness=stiffness, **how)
+    data["stiff"] = ("structure", "row", "column"), np.asarray(maps), {"long_name": "map of the stiff rubber"}
+    return data.assign_attrs(stiffness_ratio=float(ratio))
+
+
+def _stiffness_or_soft(image, stiff, ratio):
+    """The stiffness, or that of one rubber where the image holds no structure, which the data set will say."""
+    try:
+        return stiffness_of(image, stiff, ratio)
+    except ValueError:
+        return np.ones((FRAME, FRAME))
+
+
+def simulated_rubbers(
+    source: str = "auto",
+    n_structures: int | None = None,
+    seed: int = 0,
+    ratio: float = RATIO,
+    n_jobs: int | None = None,
+) -> xr.Dataset:
+    """The sevens, each with a pattern of two rubbers, simulated once and kept on disk.
+
+    Parameters
+    ----------
+    source, n_structures, n_jobs
+        See :func:`inflate_lib.simulated_sevens`.
+    seed : int
+        Of the patterns: their family is drawn as well.
+    ratio : float
+        Stiffness of the second rubber, in that of the first.
+
+    Returns
+    -------
+    xarray.Dataset
+        See :func:`simulate_rubbers`, with the variable ``family``.
+    """
+    whole_number("seed", seed, 0)
+    sevens = sources.load_sevens(source, limit=n_structures)
+    rng = np.random.default_rng([seed, 20])
+    families = rng.choice(FAMILIES, len(sevens.images))
+    maps = np.array([pattern(image, family, rng) for image, family in zip(sevens.images, families, strict=True)])
+
+    def make(target, scratch):
+        data = simulate_rubbers(sevens.images, maps, ratio, n_jobs=n_jobs, folder=scratch)
+        data["family"] = "structure", families.astype(object), {"long_name": "family of patterns"}
+        save_dataset(data.assign_attrs(source=sevens.source, source_description=sevens.description), target)
+
+    key = {"images": digest(sevens.images, maps), "ratio": float(ratio), "code": code_of_dataset()}
+    return load_dataset(cached("dataset", key, make, ".nc"))
+
+
+def two_channels(images: np.ndarray, maps: np.ndarray, variants: np.ndarray | None = None) -> np.ndarray:
+    """Structures of two rubbers as a model sees them: grey images and maps, flipped and shifted together.
+
+    Parameters
+    ----------
+    images, maps : (n, 28, 28) array
+    variants : (m, 4) int, optional
+        From :func:`inflate_lib.structures.augmentation.augment`; None: as they are.
+
+    Returns
+    -------
+    (m, 2, 28, 28) uint8
+    """
+    maps = np.uint8(255) * np.asarray(maps)
+    if variants is not None:
+        images, maps = apply_variants(images, variants), apply_variants(maps, variants, repeat_edge=True)
+    return np.stack([images, maps], axis=1)
+
+
+def rubber_model_file(data: Sequence[xr.Dataset], recipe: Recipe, threads: int | None = None) -> Path:
+    """Train the joint model of two rubbers, or find it trained in the cache.
+
+    Parameters
+    ----------
+    data : sequence of xarray.Dataset
+        From :func:`simulated_rubbers`, with different seeds: each has every seven once, so that the rule of
+        :func:`inflate_lib.datasets.pairs.held_out` keeps the same sevens from all of them.
+    recipe : Recipe
+        Of the joint model of one rubber; `n_augmented` pairs are taken from each data set.
+    threads : int, optional
+        CPU threads.
+    """
+    config = replace(recipe.config(JOINT), image_channels=2)
+    sets = [training_set(JOINT, recipe, one) for one in data]
+    about = sets[0].about | {"data": digest(*(one["stiff"].values for one in data)), "patterns": len(sets)}
+    about |= {"stiffness_ratio": float(data[0].attrs["stiffness_ratio"]), "sampling": dict(recipe.sampling)}
+
+    def make(target, scratch):
+        seen, unseen = [], []
+        for one in sets:
+            maps, out = one.data["stiff"].values, held_out(one.data.sizes["structure"])
+            here = one.data["converged"].values
+            seen.append((two_channels(one.originals[0], maps[here & ~out], one.variants), one.pairs[1]))
+            unseen.append((two_channels(one.unseen[0], maps[here & out]), one.unseen[1]))
+        pairs, kept = (tuple(map(np.concatenate, zip(*part, strict=True))) for part in (seen, unseen))
+        train_and_test(pairs, kept, config, about, scratch, "training two rubbers", threads).save(target)
+
+    means = [one.mean for one in sets]
+    key = about | {"means": means, "training": config.recipe(), "code": step_version("alternative")}
+    return cached("model", key, make, ".safetensors")
