@@ -14,20 +14,27 @@ import numpy as np
 import xarray as xr
 from scipy import ndimage
 
-from inflate_lib._cache import cached, digest, step_version
+from inflate_lib import paths
+from inflate_lib._cache import cached, digest
 from inflate_lib._checks import choice, positive_number, whole_number
 from inflate_lib.datasets.pairs import held_out
 from inflate_lib.datasets.simulate import code_of_dataset, simulate_dataset
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors.registry import JOINT
-from inflate_lib.models.recipe import Recipe
+from inflate_lib.diffusion import TrainedModel
+from inflate_lib.models import Model
+from inflate_lib.models.recipe import EDITION, Recipe
 from inflate_lib.models.remote import train_and_test
 from inflate_lib.models.train import training_set
 from inflate_lib.structures import sources
 from inflate_lib.structures.augmentation import apply_variants
-from inflate_lib.structures.labels import FRAME, THICKNESS, as_grey, main_component, stages
+from inflate_lib.structures.labels import FRAME, THICKNESS, WALL, as_grey, label_image, main_component, stages
 
+FILE = "rubbers/joint.safetensors"  # in the folder of a profile's weights
 RATIO = 4.0  # stiffness of the second rubber, in that of the first
+#: Grey levels of a picture of two rubbers.
+LEVELS = {0: "outside", 64: "stiff wall", 127: "soft wall", 254: "void"}
+_STIFF = 64
 FAMILIES = ("side", "half", "bands", "patches")
 _DIRECTIONS = {"right": (0, 1), "left": (0, -1), "top": (-1, 0), "bottom": (1, 0)}  # (row, column)
 
@@ -102,6 +109,35 @@ def stiffness_of(
     return np.where(moved[wall:-wall, wall:-wall], ratio, 1.0)
 
 
+def rubber_picture(image: np.ndarray, stiff: np.ndarray) -> np.ndarray:
+    """A structure of two rubbers as one picture, (28, 28) uint8: grey levels 0, 64, 127, 254, which are ``LEVELS``."""
+    label = label_image(image)
+    return np.where((label == WALL) & (stiffness_of(image, stiff, 2.0) > 1), _STIFF, np.rint(254 * label)).astype("u1")
+
+
+def from_picture(picture: np.ndarray, wall: int = THICKNESS) -> tuple[np.ndarray, np.ndarray]:
+    """Image and map of a structure of two rubbers, from a picture as of :func:`rubber_picture`.
+
+    Raises
+    ------
+    ValueError
+        Where a pixel has another grey level, or a stiff one is not where the wall around the void is.
+    """
+    levels = np.rint(255 * as_grey(picture)).astype(np.uint8)
+    if strange := sorted(set(np.unique(levels).tolist()) - {*LEVELS, 255}):
+        meant = ", ".join(f"{level} ({name})" for level, name in LEVELS.items())
+        raise ValueError(f"picture of two rubbers: its grey levels must be {meant}; it has {strange[0]} as well")
+    stiff = levels == _STIFF
+    image = np.where(stiff, 127, levels).astype(np.uint8)
+    composite = stages(image, wall=wall).composite[wall:-wall, wall:-wall]
+    if astray := int(np.sum(stiff & (composite != WALL))):
+        raise ValueError(
+            f"picture of two rubbers: {astray} pixels of level {_STIFF} are not in the wall, "
+            f"which is {wall} pixels thick around the void"
+        )
+    return image, stiff
+
+
 def simulate_rubbers(images: np.ndarray, maps: np.ndarray, ratio: float = RATIO, **how) -> xr.Dataset:
     """Inflate and describe structures of two rubbers.
 
@@ -119,6 +155,8 @@ def simulate_rubbers(images: np.ndarray, maps: np.ndarray, ratio: float = RATIO,
         That of :func:`inflate_lib.simulate_dataset`, with the variable ``stiff``, the maps, and the attribute
         ``stiffness_ratio``. Stresses are in units of the soft rubber's.
     """
+    if len(images) != len(maps):
+        raise ValueError(f"maps: there are {len(maps)} of them for {len(images)} images")
     stiffness = np.array([_stiffness_or_soft(*pair, ratio) for pair in zip(images, maps, strict=True)])
     data = simulate_dataset(images, stiffness=stiffness, **how)
     data["stiff"] = ("structure", "row", "column"), np.asarray(maps), {"long_name": "map of the stiff rubber"}
@@ -190,8 +228,8 @@ def two_channels(images: np.ndarray, maps: np.ndarray, variants: np.ndarray | No
     return np.stack([images, maps], axis=1)
 
 
-def rubber_model_file(data: Sequence[xr.Dataset], recipe: Recipe, threads: int | None = None) -> Path:
-    """Train the joint model of two rubbers, or find it trained in the cache.
+def train_rubbers(data: Sequence[xr.Dataset], recipe: Recipe, folder: Path, threads: int | None = None) -> TrainedModel:
+    """Train the joint model of a recipe on structures of two rubbers.
 
     Parameters
     ----------
@@ -200,6 +238,8 @@ def rubber_model_file(data: Sequence[xr.Dataset], recipe: Recipe, threads: int |
         :func:`inflate_lib.datasets.pairs.held_out` keeps the same sevens from all of them.
     recipe : Recipe
         Of the joint model of one rubber; `n_augmented` pairs are taken from each data set.
+    folder : Path
+        For checkpoints, from which a training that was stopped goes on.
     threads : int, optional
         CPU threads.
     """
@@ -207,17 +247,25 @@ def rubber_model_file(data: Sequence[xr.Dataset], recipe: Recipe, threads: int |
     sets = [training_set(JOINT, recipe, one) for one in data]
     about = sets[0].about | {"data": digest(*(one["stiff"].values for one in data)), "patterns": len(sets)}
     about |= {"stiffness_ratio": float(data[0].attrs["stiffness_ratio"]), "sampling": dict(recipe.sampling)}
+    seen, unseen = [], []
+    for one in sets:
+        maps, out = one.data["stiff"].values, held_out(one.data.sizes["structure"])
+        here = one.data["converged"].values
+        seen.append((two_channels(one.originals[0], maps[here & ~out], one.variants), one.pairs[1]))
+        unseen.append((two_channels(one.unseen[0], maps[here & out]), one.unseen[1]))
+    pairs, kept = ([np.concatenate(part) for part in zip(*parts, strict=True)] for parts in (seen, unseen))
+    return train_and_test(
+        (pairs[0], pairs[1]), (kept[0], kept[1]), config, about, folder, "training two rubbers", threads, folder
+    )
 
-    def make(target, scratch):
-        seen, unseen = [], []
-        for one in sets:
-            maps, out = one.data["stiff"].values, held_out(one.data.sizes["structure"])
-            here = one.data["converged"].values
-            seen.append((two_channels(one.originals[0], maps[here & ~out], one.variants), one.pairs[1]))
-            unseen.append((two_channels(one.unseen[0], maps[here & out]), one.unseen[1]))
-        pairs, kept = (tuple(map(np.concatenate, zip(*part, strict=True))) for part in (seen, unseen))
-        train_and_test(pairs, kept, config, about, scratch, "training two rubbers", threads).save(target)
 
-    means = [one.mean for one in sets]
-    key = about | {"means": means, "training": config.recipe(), "code": step_version("alternative")}
-    return cached("model", key, make, ".safetensors")
+def load_rubber_model(profile: str = EDITION) -> Model:
+    """The committed joint model of two rubbers: what it draws are images and maps, (m, 2, 28, 28).
+
+    Raises
+    ------
+    FileNotFoundError
+        There are no such weights of this profile.
+    """
+    trained = TrainedModel.load(paths.PRETRAINED / profile / FILE)
+    return Model(JOINT, trained, trained.metadata["sampling"])
