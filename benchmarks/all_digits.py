@@ -95,7 +95,7 @@ def positive_definite(sparse):
     return True
 
 
-def follow(label, longest=0.2, n_steps=150):
+def follow(label, longest=0.2, n_steps=500):
     """The path of equilibrium of a structure by its arc length: pressure, height, mean sideways move, stability.
 
     Unknowns are the positions x of the free nodes, in sides, and the pressure p, as a share of the full one. The next

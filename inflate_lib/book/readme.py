@@ -1,4 +1,4 @@
-"""What the first pages show and another file says: the quickstart, three numbers, the results of the committed weights.
+"""What the first pages show and another file says: the quickstart, three numbers, cost and results of the weights.
 
 ``python -m inflate_lib.book.readme`` (``make readme``) writes them anew into README.md and book/index.md, between the
 comments that name them.
@@ -64,11 +64,21 @@ def _results() -> str:
     return "\n".join([*lines, "", _opponents(), "", _mesh_error(), "", Tables(paths.EDITION).filled(_TABLE1)])
 
 
-def _card() -> dict[str, dict[str, str]]:
-    """The table of accuracy in the model card of the profile laptop: model → title of a column → its cell."""
-    card = (paths.PRETRAINED / "laptop" / "README.md").read_text(encoding="utf-8").split("## Accuracy")[1]
-    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in card.splitlines() if line.startswith("| ")]
+def _card(section: str = "Accuracy") -> dict[str, dict[str, str]]:
+    """A table in the model card of the profile laptop: model → title of a column → its cell."""
+    card = (paths.PRETRAINED / "laptop" / "README.md").read_text(encoding="utf-8")
+    lines = card.split(f"## {section}")[1].split("\n## ")[0].splitlines()
+    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line.startswith("| ")]
     return {row[0]: dict(zip(table[0], row, strict=True)) for row in table[1:]}
+
+
+def _profiles() -> str:
+    """What the profiles differ in, with the minutes that the committed weights took."""
+    minutes = [float(row["minutes"]) for row in _card("Training").values()]
+    return f"""\
+Below the title of each chapter a badge names the *profile* that its numbers come from: `laptop`, the edition, uses
+models that took {min(minutes):.0f} to {max(minutes):.0f} minutes of one core each to train and come with the
+repository, `ci` trains small ones in minutes, `paper` spends what the paper spent ({{ref}}`sec-profiles`)."""
 
 
 def _opponents():
@@ -97,8 +107,8 @@ def _mesh_error():
     )
 
 
-_MAKERS = {"quickstart": _quickstart, "numbers": _numbers, "results": _results}
-PAGES = {paths.ROOT / "README.md": ("quickstart", "results"), paths.BOOK / "index.md": ("numbers",)}
+_MAKERS = {"quickstart": _quickstart, "numbers": _numbers, "profiles": _profiles, "results": _results}
+PAGES = {paths.ROOT / "README.md": ("quickstart", "results"), paths.BOOK / "index.md": ("numbers", "profiles")}
 
 if __name__ == "__main__":
     for page, names in PAGES.items():

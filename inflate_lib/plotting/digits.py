@@ -64,5 +64,5 @@ def plot_snapping(followed):
         ax.plot(np.where(part.stable, share, np.nan), aside, color=COLOURS.wall)
         ax.set_title(f"no. {number}, a {part.digit.iloc[0]}")
     fig.supxlabel("pressure / full pressure", fontsize=9)
-    fig.supylabel("mean move to the right", fontsize=9)
+    fig.supylabel("mean displacement to the right / side", fontsize=9)
     return fig
