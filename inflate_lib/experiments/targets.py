@@ -40,6 +40,7 @@ def find_clusters(matrix: np.ndarray, k: int = 3, seed: int = 0, n_starts: int =
         Where there are fewer distinct rows than clusters, or values that are not finite.
     """
     from sklearn.cluster import KMeans
+    from threadpoolctl import threadpool_limits
 
     for name, value, least in (("k", k, 1), ("seed", seed, 0), ("n_starts", n_starts, 1)):
         whole_number(name, value, least)
@@ -47,7 +48,8 @@ def find_clusters(matrix: np.ndarray, k: int = 3, seed: int = 0, n_starts: int =
     n_distinct = len(np.unique(matrix, axis=0))
     if n_distinct < k:
         raise ValueError(f"matrix has {n_distinct} distinct rows; {k} clusters need at least as many")
-    fit = KMeans(k, n_init=n_starts, tol=0, max_iter=1000, random_state=seed).fit(matrix)
+    with threadpool_limits(1, "openmp"):  # several threads wait for one another longer than one computes
+        fit = KMeans(k, n_init=n_starts, tol=0, max_iter=1000, random_state=seed).fit(matrix)
     order = np.argsort(fit.cluster_centers_[:, 0])
     return Clusters(fit.cluster_centers_[order], np.argsort(order)[fit.labels_])
 
