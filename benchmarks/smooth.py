@@ -20,7 +20,7 @@ from inflate_lib.inverse.smooth import smooth_cavity, smooth_plan, smoothed
 from inflate_lib.inverse.targets import Targets, deviations
 from inflate_lib.structures.labels import VOID, WALL
 
-REFINED, CORRECTED = 30, 10
+REFINED, CORRECTED = 30, 12
 SIZES = ["height", "width", "hull_area"]
 
 
@@ -70,7 +70,7 @@ def corrected(images, n, seed=2):
         if reason:
             continue
         shape = describe(result)
-        kinds = {"area": shape.hull_area, "axis": shape.medial_axis}
+        kinds = {"area": shape.hull_area, "axis": shape.medial_axis, "outline": shape.vector("outline")}
         for asked in ({"height": shape.height, "width": shape.width}, *({name: kinds[name]} for name in kinds)):
             targets, start = Targets(**asked), time.process_time()
             made = smoothed(label, targets, Constraints(), 0.005)

@@ -51,7 +51,8 @@ def design(
     candidates: Annotated[int, typer.Option(min=1, help="Stop the search after so many.")] = 4096,
     refine: Annotated[int, typer.Option(min=0, help="Inflations spent on each near miss, pixel by pixel.")] = 60,
     smooth: Annotated[
-        bool, typer.Option("--smooth/--no-smooth", help="Smooth borders to cut, and a wall of one thickness.")
+        bool,
+        typer.Option("--smooth/--no-smooth", help="Smooth borders to cut; they meet an axis or outline less often."),
     ] = False,
     start_from: Annotated[
         str, typer.Option(help="Candidates: drawings of the model, the nearest training structures, or both.")
