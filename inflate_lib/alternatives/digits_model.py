@@ -75,7 +75,7 @@ def train_digits(data: "xr.Dataset", recipe: Recipe, folder: Path, threads: int 
     Parameters
     ----------
     data : xarray.Dataset
-        Simulated digits, from :func:`inflate_lib.datasets.simulated_digits`.
+        Simulated digits, from :func:`inflate_lib.alternatives.simulated_digits`.
     recipe : Recipe
     folder : Path
         For checkpoints, from which a training that was stopped goes on.
