@@ -19,13 +19,13 @@ class TrainingConfig:
     Exactly one of ``steps`` and ``epochs`` gives the budget, and ``checkpoint_every`` counts in the same unit.
     """
 
-    image_channels: int = 1  # of the images; more than one where an image says more than where the digit is
     channels: tuple[int, ...] = (64, 128, 256)  # of the U-Net at each scale, finest first
     embedding: int = 256  # width of the context vector ζ
     hidden: int = 200  # width of the two hidden layers of the descriptor network
     blocks: int = 1  # residual blocks per scale, on the way down and on the way up
     conditioning: str = "scale-shift"  # how ζ enters a residual block; or "add"
     attention: bool = False  # self-attention on the coarsest grid
+    image_channels: int = 1  # of the images; more than one where an image says more than where the digit is
     objective: str = "epsilon"  # what the network predicts: "epsilon" (paper) or "v"
     vlb_weight: float = 0.001  # λ of the hybrid loss
     min_snr: float = 0.0  # γ of min-SNR weighting (Hang et al. 2023 take 5); 0: the plain L_simple

@@ -118,7 +118,8 @@ class UNet(nn.Module):
     ) -> None:
         super().__init__()
         whole_number("n_conditions", n_conditions, 0)
-        for name, value in (("embedding", embedding), ("hidden", hidden), ("blocks", blocks)):
+        widths = {"embedding": embedding, "hidden": hidden, "blocks": blocks, "image_channels": image_channels}
+        for name, value in widths.items():
             whole_number(name, value, 1)
         if parts and sum(parts) != n_conditions:
             raise ValueError(f"parts of lengths {tuple(parts)} do not make up {n_conditions} conditions")

@@ -69,7 +69,7 @@ def build_mesh(
     """
     label = _check_label(label, clamped)
     whole_number("refine", refine, 1)
-    relative = 1.0 if stiffness is None else _check_stiffness(stiffness, label)
+    relative = np.ones_like(label) if stiffness is None else _check_stiffness(stiffness, label)
     if refine > 1:
         label, relative = (np.kron(image, np.ones((refine, refine))) for image in (label, relative))
     size = len(label)
@@ -86,8 +86,7 @@ def build_mesh(
     lattice_row, lattice_column = np.divmod(np.flatnonzero(used), size + 1)
     x, y = lattice_column, size - lattice_row
     held = {"bottom": y == 0, "left": x == 0, "top": y == size, "right": x == size}[clamped]
-    if stiffness is not None:
-        relative = np.asarray(relative)[row, column]
+    relative = 1.0 if stiffness is None else relative[row, column]
     return Mesh(np.column_stack([x, y]) / size, number[lattice_cells], number[lattice_edges], held, relative)
 
 
