@@ -133,7 +133,7 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
         tries -= 1
         reason, changed, inflated = attempt(cavity, constraints)
         error = np.inf if reason else max(deviations(targets, describe(inflated)).values())
-        if error <= best * (1 - _LESS) and (crumbs or not _crumbs_of(changed == VOID).size):
+        if not reason and error <= best * (1 - _LESS) and (crumbs or not _crumbs_of(changed == VOID).size):
             label, result, best = changed, inflated, error
             flipped.append(sorted({(int(row), int(column)) for row, column in pixels}))
             untried = _changes(label, result, targets, symmetric, order, rng) if best > goal else []

@@ -155,6 +155,15 @@ def test_refinement_never_leaves_what_can_be_built(number, factor, flaw, monkeyp
     assert find_flaw(refined()[1]) is flaw
 
 
+def test_what_cannot_be_built_without_its_crumbs_stays_as_it_was(monkeypatch):
+    label = next(one for one in (label_image(image) for image in DIGITS[:30]) if _crumbs(one))
+    result = inflate(label)
+    targets = Targets(height=0.95 * describe(result).height)
+    monkeypatch.setattr(refining, "find_flaw", lambda result: Flaw.CROSSING_WALLS)
+    better, same, flipped = refine(label, result, targets, Constraints(), goal=1e-3, tries=5)
+    assert np.array_equal(better, label) and same is result and not flipped
+
+
 def test_misses_fill_up_and_are_marked(search, data):
     found = search({"height": float(data.height.max()) * 0.9999}, 5, tolerance=1e-3)
     good = [one.within for one in found.designs]
