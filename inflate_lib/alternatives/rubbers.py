@@ -6,6 +6,7 @@ wall; a wall that grows beyond the frame takes the nearest of its edge. So image
 together, and stand for the flipped structure (:func:`two_channels`).
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,9 +21,15 @@ from inflate_lib._checks import choice, positive_number, whole_number
 from inflate_lib.datasets.pairs import held_out
 from inflate_lib.datasets.simulate import code_of_dataset, simulate_dataset
 from inflate_lib.datasets.storage import load_dataset, save_dataset
+from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.descriptors.registry import JOINT
-from inflate_lib.diffusion import TrainedModel
+from inflate_lib.diffusion import TrainedModel, generate
+from inflate_lib.diffusion.randomness import seed_for
+from inflate_lib.experiments.calibrate import questions
+from inflate_lib.experiments.run import as_experiment, is_whole
 from inflate_lib.models import Model
+from inflate_lib.models.calibration import Calibration
+from inflate_lib.models.reach import load_reach
 from inflate_lib.models.recipe import EDITION, Recipe
 from inflate_lib.models.remote import train_and_test
 from inflate_lib.models.train import training_set
@@ -30,11 +37,12 @@ from inflate_lib.structures import sources
 from inflate_lib.structures.augmentation import apply_variants
 from inflate_lib.structures.labels import FRAME, THICKNESS, WALL, as_grey, label_image, main_component, stages
 
-FILE = "rubbers/joint.safetensors"  # in the folder of a profile's weights
+FILE = "rubbers/joint.safetensors"  # in the folder of a profile's weights, the reach of two rubbers beside it
 RATIO = 4.0  # stiffness of the second rubber, in that of the first
 #: Grey levels of a picture of two rubbers.
 LEVELS = {0: "outside", 64: "stiff wall", 127: "soft wall", 254: "void"}
 _STIFF = 64
+_CRUMB = 4  # pixels that a piece of one rubber must have
 FAMILIES = ("side", "half", "bands", "patches")
 _DIRECTIONS = {"right": (0, 1), "left": (0, -1), "top": (-1, 0), "bottom": (1, 0)}  # (row, column)
 
@@ -109,10 +117,62 @@ def stiffness_of(
     return np.where(moved[wall:-wall, wall:-wall], ratio, 1.0)
 
 
+def castable(stiffness: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """The same stiffness, changed where a rubber could not be cast: crumbs, and parts that meet in a corner only.
+
+    A *crumb* is a piece of fewer than four pixels; it becomes of the other rubber. Corners are filled up with the stiff
+    one.
+
+    Parameters
+    ----------
+    stiffness : (28, 28) float
+        From :func:`stiffness_of`.
+    label : (28, 28) float
+        The label image.
+
+    Returns
+    -------
+    (28, 28) float
+    """
+    wall = label == WALL
+    stiff = wall & (stiffness > 1)
+    stiff &= ~_crumbs(stiff)
+    while True:  # stiff parts only grow
+        corners, grown = _in_corners(stiff) | _in_corners(wall & ~stiff), _crumbs(wall & ~stiff)
+        for row, column in np.ndindex(2, 2):
+            grown[row : row + FRAME - 1, column : column + FRAME - 1] |= corners
+        if not (grown & wall & ~stiff).any():
+            return np.where(stiff, np.max(stiffness), 1.0)
+        stiff |= grown & wall
+
+
+def _crumbs(part):
+    """(28, 28) bool: the pieces of a part, connected by sides, that are too small."""
+    pieces, _ = ndimage.label(part)
+    return part & (np.bincount(pieces.ravel()) < _CRUMB)[pieces]
+
+
+def _in_corners(part):
+    """(27, 27) bool: between which four pixels a part touches itself in the corner alone."""
+    a, b, c, d = part[:-1, :-1], part[:-1, 1:], part[1:, :-1], part[1:, 1:]
+    return (a & d & ~b & ~c) | (b & c & ~a & ~d)
+
+
 def rubber_picture(image: np.ndarray, stiff: np.ndarray) -> np.ndarray:
     """A structure of two rubbers as one picture, (28, 28) uint8: grey levels 0, 64, 127, 254, which are ``LEVELS``."""
-    label = label_image(image)
-    return np.where((label == WALL) & (stiffness_of(image, stiff, 2.0) > 1), _STIFF, np.rint(254 * label)).astype("u1")
+    return picture_of(label_image(image), stiffness_of(image, stiff, 2.0) > 1)
+
+
+def picture_of(label: np.ndarray, stiff: np.ndarray | None = None) -> np.ndarray:
+    """A label image as a picture, (28, 28) uint8; `stiff` (28, 28) bool is where its wall is of a stiff rubber."""
+    picture = np.rint(254 * label).astype(np.uint8)
+    return picture if stiff is None else np.where(stiff & (label == WALL), np.uint8(_STIFF), picture)
+
+
+def is_picture(image: np.ndarray) -> bool:
+    """Whether an image is a picture of two rubbers: of their grey levels alone, and with a stiff wall."""
+    levels = set(np.unique(_as_levels(image)).tolist())
+    return _STIFF in levels and levels <= {*LEVELS, 255}
 
 
 def from_picture(picture: np.ndarray, wall: int = THICKNESS) -> tuple[np.ndarray, np.ndarray]:
@@ -123,7 +183,7 @@ def from_picture(picture: np.ndarray, wall: int = THICKNESS) -> tuple[np.ndarray
     ValueError
         Where a pixel has another grey level, or a stiff one is not where the wall around the void is.
     """
-    levels = np.rint(255 * as_grey(picture)).astype(np.uint8)
+    levels = _as_levels(picture)
     if strange := sorted(set(np.unique(levels).tolist()) - {*LEVELS, 255}):
         meant = ", ".join(f"{level} ({name})" for level, name in LEVELS.items())
         raise ValueError(f"picture of two rubbers: its grey levels must be {meant}; it has {strange[0]} as well")
@@ -136,6 +196,10 @@ def from_picture(picture: np.ndarray, wall: int = THICKNESS) -> tuple[np.ndarray
             f"which is {wall} pixels thick around the void"
         )
     return image, stiff
+
+
+def _as_levels(picture):
+    return np.rint(255 * as_grey(picture)).astype(np.uint8)
 
 
 def simulate_rubbers(images: np.ndarray, maps: np.ndarray, ratio: float = RATIO, **how) -> xr.Dataset:
@@ -260,12 +324,57 @@ def train_rubbers(data: Sequence[xr.Dataset], recipe: Recipe, folder: Path, thre
 
 
 def load_rubber_model(profile: str = EDITION) -> Model:
-    """The committed joint model of two rubbers: what it draws are images and maps, (m, 2, 28, 28).
+    """The committed joint model of two rubbers, with what they reach: it draws images and maps, (m, 2, 28, 28).
 
     Raises
     ------
     FileNotFoundError
         There are no such weights of this profile.
     """
-    trained = TrainedModel.load(paths.PRETRAINED / profile / FILE)
-    return Model(JOINT, trained, trained.metadata["sampling"])
+    file = paths.PRETRAINED / profile / FILE
+    trained = TrainedModel.load(file)
+    return Model(JOINT, trained, trained.metadata["sampling"], reach=load_reach(file.parent))
+
+
+def rubber_experiment(
+    model: Model, targets: np.ndarray, n_per_target: int, seed: int, descriptor: str, n_jobs: int | None = None
+) -> xr.Dataset:
+    """Draw structures of two rubbers for each target, inflate and describe them.
+
+    Parameters
+    ----------
+    model : Model
+        From :func:`load_rubber_model`.
+    targets : (k, N) float
+        Also beyond what the model was trained on.
+    n_per_target, seed, descriptor
+        See :func:`inflate_lib.experiments.run.run_experiment`, whose noise for the same seed is the same.
+    n_jobs : int, optional
+        Processes of the simulation.
+
+    Returns
+    -------
+    xarray.Dataset
+        As of :func:`inflate_lib.experiments.run.judge`, with the variable ``stiff``.
+    """
+    level = np.repeat(np.arange(len(targets)), n_per_target)
+    told = model.told(descriptor, np.asarray(targets, dtype=float))[level]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "[0-9]+ of [0-9]+ conditions lie outside")
+        drawn = generate(model.trained, told, seed=seed_for(seed, descriptor), **model.sampling)
+    images, maps = drawn[:, 0], drawn[:, 1] > 0.5
+    data = simulate_rubbers(images, maps, model.trained.metadata["stiffness_ratio"], n_jobs=n_jobs, progress_text="")
+    valid = data["converged"].values & np.array([is_whole(image) for image in images])
+    return as_experiment(data, descriptor, np.asarray(targets, dtype=float), level, valid)
+
+
+def calibrated(model: Model, data: xr.Dataset, descriptor: str, n: int = 300, seed: int = 0) -> Model:
+    """The same model, calibrated for one descriptor, as models of one rubber are; as it is where it does not listen."""
+    asked = questions(data, descriptor, n, seed)
+    answer = rubber_experiment(model.sampled(), asked, 1, seed_for(seed, "calibration"), descriptor)
+    valid = answer["valid"].values
+    try:
+        fit = Calibration.fit(asked[valid], descriptor_matrix(answer, descriptor)[valid])
+    except ValueError:
+        return model
+    return replace(model, calibrations={**model.calibrations, descriptor: fit})

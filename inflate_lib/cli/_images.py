@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from inflate_lib import mechanics
-from inflate_lib._checks import choice
+from inflate_lib._checks import choice, positive_number
 from inflate_lib._files import check_outputs, naming
+from inflate_lib.alternatives.rubbers import from_picture, is_picture, stiffness_of
 from inflate_lib.alternatives.stabilised import check_element, inflate_with
 from inflate_lib.descriptors import describe
 from inflate_lib.descriptors.registry import basic
@@ -38,6 +39,7 @@ class Options:
     lame: tuple[float, float] = (LAMBDA, MU)
     pressure: float | tuple[float, ...] = PRESSURE  # a history where there are several
     n_steps: int | None = None  # ten, or as many as the history has
+    rubbers: float | None = None  # stiffness of the second rubber, where pictures show two
     wall: int = THICKNESS
     clamped: str = "bottom"
     refine: int = 1
@@ -88,6 +90,12 @@ def simulate_files(files, options, inputs=()):
         if options.moose is None:
             raise ValueError("engine moose needs a folder for its files: --moose DIR")
         moose.find_program()
+    if options.rubbers is not None:
+        positive_number("rubbers", options.rubbers)
+        if options.resize or options.invert:
+            raise ValueError(
+                "rubbers: they are told by grey levels, which --resize and --invert change; leave these out"
+            )
     if options.contact and options.moose is not None:
         raise ValueError("contact: the cases for MOOSE have none, leave out --contact or --moose")
     for path, endings in ((options.plot, PICTURES), (options.gif, (".gif",)), (options.vtk, (".pvd", ".vtu"))):
@@ -182,9 +190,15 @@ def _record(name, file, image, note, options, alone):
     try:
         if isinstance(image, ValueError):
             raise image
+        stiffness = None
+        if options.rubbers is not None:
+            image, stiff = from_picture(image, options.wall)
+            stiffness = stiffness_of(image, stiff, options.rubbers, options.wall, options.clamped)
+        elif is_picture(image):
+            note = ", ".join(filter(None, (note, "two rubbers taken as one: --rubbers")))
         structure = stages(image, wall=options.wall, clamped=options.clamped)
         record["note"] = ", ".join(filter(None, (note, structure.note)))
-        mesh = build_mesh(structure.domains, options.refine, options.clamped)
+        mesh = build_mesh(structure.domains, options.refine, options.clamped, stiffness)
         parameters = {name: getattr(options, name) for name in ("n_steps", "element", "pressure", "lame")}
         with naming(Path(mechanics.__file__).with_name("__pycache__")):  # where compiled code is kept
             result = inflate_with(mesh, contact=options.contact, **parameters)

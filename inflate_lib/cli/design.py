@@ -54,6 +54,9 @@ def design(
         bool,
         typer.Option("--smooth/--no-smooth", help="Smooth borders to cut; they meet an axis or outline less often."),
     ] = False,
+    rubbers: Annotated[
+        bool, typer.Option("--rubbers", help="Walls of two rubbers, one four times as stiff as the other.")
+    ] = False,
     start_from: Annotated[
         str, typer.Option(help="Candidates: drawings of the model, the nearest training structures, or both.")
     ] = "both",
@@ -97,7 +100,7 @@ def design(
             found = design(
                 targets, number, profile=profile, start_from=start_from, constraints=constraints, tolerance=tolerance,
                 prefer=prefer, seed=seed, seconds=seconds, max_candidates=candidates, refine=refine,
-                smooth=smooth,
+                smooth=smooth, rubbers=rubbers,
             )  # fmt: skip
             print(found.summary())
             if found.designs:

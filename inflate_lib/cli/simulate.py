@@ -27,6 +27,10 @@ def simulate(
     history: Annotated[
         str | None, typer.Option(help="One pressure per load step instead: 0.005,0.01,0, or a file with one per line.")
     ] = None,
+    rubbers: Annotated[
+        float | None,
+        typer.Option(help="Walls of two rubbers, grey levels 64 (stiff) and 127: how stiff, in units of the soft one."),
+    ] = None,
     wall: Annotated[int, typer.Option(min=1, max=12, help="Thickness of the wall in pixels.")] = 2,
     clamp: Annotated[str, typer.Option(help="Clamped edge: bottom, left, top or right.")] = "bottom",
     refine: Annotated[int, typer.Option(min=1, max=16, help="Elements per pixel and direction.")] = 1,
@@ -52,7 +56,7 @@ def simulate(
     options = Options(
         lame=lame, pressure=PRESSURE if pressure is None else pressure, n_steps=steps, wall=wall, clamped=clamp,
         refine=refine, element=element, contact=contact, resize=resize, invert=invert, colour=colour, engine=engine,
-        plot=plot, gif=gif, vtk=vtk, moose=moose,
+        plot=plot, gif=gif, vtk=vtk, moose=moose, rubbers=rubbers,
     )  # fmt: skip
     inputs = [] if history is None else [history]
     if report(simulate_files(images, options, inputs), json, options):

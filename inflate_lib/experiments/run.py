@@ -165,7 +165,7 @@ def judge(
         keep their row.
     """
     data = simulate.simulate_dataset(images, n_jobs=n_jobs, folder=folder)
-    whole = np.array([_is_whole(image) for image in images])
+    whole = np.array([is_whole(image) for image in images])
     return as_experiment(data, descriptor, targets, level, data["converged"].values & whole)
 
 
@@ -255,7 +255,7 @@ def held_out_targets(
     return matrix[rows[:n]], rows[:n]
 
 
-def _is_whole(image):
+def is_whole(image):
     """Whether one connected piece holds nearly all bright pixels of a generated image."""
     bright = image > labels.THRESHOLD
     try:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from inflate_lib._checks import choice
+from inflate_lib.alternatives.rubbers import castable, stiffness_of
 from inflate_lib.datasets.simulate import TIME_LIMIT
 from inflate_lib.descriptors import describe, get_descriptor
 from inflate_lib.inverse.adjoint import flip_changes, sensitivities
@@ -24,7 +25,7 @@ from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.targets import deviations
 from inflate_lib.mechanics.buildable import Flaw, find_flaw
 from inflate_lib.mechanics.inflation import inflate
-from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, label_image
+from inflate_lib.structures.labels import FRAME, OUTSIDE, PIXEL, VOID, WALL, label_image
 
 _CROSS = ndimage.generate_binary_structure(2, 1)
 _ORDERS = ("sensitivity", "random")
@@ -45,6 +46,13 @@ class Rejection(StrEnum):
 def attempt(image, constraints):
     """Label and inflate one image under constraints.
 
+    Parameters
+    ----------
+    image : (28, 28) or (2, 28, 28) array
+        Of two rubbers, the second part is the map of the stiff one, which is changed where nobody could cast it
+        (:func:`inflate_lib.alternatives.rubbers.castable`).
+    constraints : Constraints
+
     Returns
     -------
     reason : Flaw, Rejection or None
@@ -53,12 +61,15 @@ def attempt(image, constraints):
     label : (28, 28) float or None
     result : Inflation or None
     """
+    image, stiffness = (image, None) if np.ndim(image) == 2 else (image[0], image[1])
     try:
         label = label_image(image)
+        if stiffness is not None:
+            stiffness = castable(stiffness_of(image, stiffness), label)
         anywhere = Constraints(**{**constraints.as_dict(), "keep_out": None})
         if broken := anywhere.broken_by(label):
             return Rejection[broken.upper()], label, None
-        result = inflate(label, time_limit=TIME_LIMIT[0])
+        result = inflate(label, time_limit=TIME_LIMIT[0], stiffness=stiffness)
     except ValueError:
         return Flaw.NO_STRUCTURE, None, None
     if flaw := find_flaw(result):
@@ -69,7 +80,8 @@ def attempt(image, constraints):
             return Rejection.KEEP_OUT, label, None
         if shift:
             label = np.roll(label, shift, axis=1)
-            result = inflate(label, time_limit=TIME_LIMIT[0])
+            stiffness = None if stiffness is None else np.roll(stiffness, shift, axis=1)
+            result = inflate(label, time_limit=TIME_LIMIT[0], stiffness=stiffness)
             if find_flaw(result) or constraints.broken_by(label) or constraints.broken_when_inflated(result):
                 return Rejection.KEEP_OUT, label, None
     return None, label, result
@@ -131,7 +143,7 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
         if not crumbs and _crumbs_of(cavity).size:
             continue
         tries -= 1
-        reason, changed, inflated = attempt(cavity, constraints)
+        reason, changed, inflated = attempt(_of_rubbers(cavity, label, result), constraints)
         error = np.inf if reason else max(deviations(targets, describe(inflated)).values())
         if not reason and error <= best * (1 - _LESS) and (crumbs or not _crumbs_of(changed == VOID).size):
             label, result, best = changed, inflated, error
@@ -140,6 +152,24 @@ def refine(label, result, targets, constraints, goal, tries, seed=0, order="sens
         if trace is not None:
             trace.append(min(best, before))
     return (label, result, flipped) if best < before else start
+
+
+def stiff_part(label, result):
+    """(28, 28) bool: where the wall of a structure is of the stiff rubber; None where all of it is of the soft one."""
+    if not np.any(result.mesh.stiffness > 1):
+        return None
+    stiff = np.zeros(label.shape, bool)
+    stiff[label == WALL] = result.mesh.stiffness > 1
+    return stiff
+
+
+def _of_rubbers(cavity, label, result):
+    """A changed cavity, with the map of the stiff rubber where there are two; new wall is of what is nearest."""
+    stiff = stiff_part(label, result)
+    if stiff is None:
+        return cavity
+    nearest = ndimage.distance_transform_edt(label != WALL, return_distances=False, return_indices=True)
+    return np.stack([cavity, stiff[tuple(nearest)]])
 
 
 def _changes(label, result, targets, symmetric, order, rng):

@@ -18,15 +18,18 @@ import inflate_lib
 from inflate_lib._checks import positive_number
 from inflate_lib._files import check_outputs, file_digest, hand_out_folder, locked, made, naming, sweep, written_before
 from inflate_lib._provenance import package_versions
+from inflate_lib.alternatives.rubbers import picture_of
 from inflate_lib.inverse.search import Designs
 from inflate_lib.inverse.smooth import pixel_plan
 from inflate_lib.io import moose, pictures
 from inflate_lib.io.vtk import vtk_files, write_vtk
 from inflate_lib.mechanics.inflation import PRESSURE, load_history
 from inflate_lib.mechanics.mesh import boundary_loops
+from inflate_lib.plotting.style import COLOURS
 from inflate_lib.structures.labels import FRAME, THICKNESS
 
 _SIZE_MM, _DEPTH_MM, _BASE_MM = 100.0, 20.0, 3.0
+_RUBBERS = ("soft", "stiff")
 _SEARCH_FILES = ("contact_sheet.png", "designs.csv", "designs.json")
 
 
@@ -43,7 +46,9 @@ def save_designs(
     ``design_01``, …: ``structure.png`` (28 × 28, what ``inflate simulate`` reads; of a
     smooth design the pixels that it comes from), ``picture.png``, ``outline.svg``
     (mm), ``mould.stl`` (a tray in which the structure is cast) and ``part.stl`` (the structure itself),
-    ``inflated.pvd`` with its series, ``moose/``, and ``design.json`` with seed and provenance.
+    ``inflated.pvd`` with its series, ``moose/``, and ``design.json`` with seed and provenance. Where walls are of two
+    rubbers, ``structure.png`` has a grey level for each (:data:`inflate_lib.alternatives.rubbers.LEVELS`),
+    ``outline.svg`` a layer for each, and ``part_soft.stl`` and ``part_stiff.stl`` are what is cast of each.
 
     Everything is written aside first, and moved to its place when it is whole.
 
@@ -154,6 +159,7 @@ def _names(n):
 def _design_files(name):
     """What :func:`_write_design` writes."""
     own = ["structure.png", "picture.png", "outline.svg", "mould.stl", "part.stl", "design.json"]
+    own += [f"part_{rubber}.stl" for rubber in _RUBBERS]
     times, _ = load_history(PRESSURE)
     return [*own, *vtk_files("inflated.pvd", len(times)), *moose.case_files("moose", name)[:2]]
 
@@ -212,18 +218,38 @@ def _told(reason):
     return {"reason": reason.name.lower(), "sentence": reason.value}
 
 
-def _outline_svg(plan, size_mm=_SIZE_MM):
-    """SVG text of a structure's outline: one path for the wall, its cavity cut out; user units are millimetres."""
+def _outline_svg(plan, size_mm=_SIZE_MM, stiff=None):
+    """SVG text of a structure's outline: one path for the wall, its cavity cut out; user units are millimetres.
+
+    Of two rubbers, told by :func:`_stiff_quads`, each has a path in a layer of its own.
+    """
     points = size_mm * (plan.points * [1, -1] + [0, 1])  # y downwards
-    parts = []
-    for loop in boundary_loops(plan.quads[plan.wall]):
-        corner = _turns(points[loop])
-        parts.append("M " + " L ".join(f"{a:.6g},{b:.6g}" for a, b in points[loop][corner]) + " Z")
+
+    def path(wall, colour):
+        parts = []
+        for loop in boundary_loops(plan.quads[wall]):
+            corner = _turns(points[loop])
+            parts.append("M " + " L ".join(f"{a:.6g},{b:.6g}" for a, b in points[loop][corner]) + " Z")
+        return f'<path d="{" ".join(parts)}" fill="{colour}" fill-rule="evenodd" stroke="none"/>\n'
+
     size = f"{size_mm:.6g}"
+    paths = path(plan.wall, COLOURS.wall)
+    if stiff is not None:
+        parts = {"soft": (plan.wall & ~stiff, COLOURS.wall), "stiff": (stiff, COLOURS.stiff)}
+        paths = "".join(
+            f'<g id="{name}" inkscape:groupmode="layer" inkscape:label="{name}">\n{path(*part)}</g>\n'
+            for name, part in parts.items()
+        )
+    layers = ' xmlns:inkscape="http://www.inkscape.org/namespaces/inkscape"' if stiff is not None else ""
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{size}mm" height="{size}mm" viewBox="0 0 {size} {size}">\n'
-        f'<path d="{" ".join(parts)}" fill="#0072B2" fill-rule="evenodd" stroke="none"/>\n</svg>\n'
+        f'<svg xmlns="http://www.w3.org/2000/svg"{layers} width="{size}mm" height="{size}mm" '
+        f'viewBox="0 0 {size} {size}">\n{paths}</svg>\n'
     )
+
+
+def _stiff_quads(one):
+    """(m,) bool: which quadrilaterals of the pixels of a design are of the stiffer of two rubbers; None of one."""
+    return None if one.stiff is None else np.pad(one.stiff, 1)[::-1].ravel()
 
 
 def mould(plan, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM, base_mm=_BASE_MM):
@@ -243,9 +269,10 @@ def mould(plan, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM, base_mm=_BASE_MM):
     return _solid(size_mm * plan.points, plan.quads, np.where(plan.wall, base_mm, base_mm + depth_mm))
 
 
-def part(plan, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM):
-    """The structure itself, its wall extruded, as a closed surface; see :func:`mould`."""
-    return _solid(size_mm * plan.points, plan.quads[plan.wall], np.full(plan.wall.sum(), depth_mm))
+def part(plan, size_mm=_SIZE_MM, depth_mm=_DEPTH_MM, wall=None):
+    """The structure itself, its wall (m,) bool or some of it extruded, as a closed surface; see :func:`mould`."""
+    wall = plan.wall if wall is None else wall
+    return _solid(size_mm * plan.points, plan.quads[wall], np.full(wall.sum(), depth_mm))
 
 
 def _solid(corners, quads, height):
@@ -281,12 +308,16 @@ def _write_stl(path, points, triangles):
 
 def _write_design(one, folder, name, designs, size_mm, depth_mm):
     folder.mkdir()
-    Image.fromarray(np.round(254 * one.label).astype(np.uint8)).save(folder / "structure.png")
+    Image.fromarray(picture_of(one.label, one.stiff)).save(folder / "structure.png")
     pictures.write_picture(one.result, folder / "picture.png")
-    plan = one.plan or pixel_plan(one.label)
-    (folder / "outline.svg").write_text(_outline_svg(plan, size_mm), encoding="utf-8")
+    plan, stiff = one.plan or pixel_plan(one.label), _stiff_quads(one)
+    (folder / "outline.svg").write_text(_outline_svg(plan, size_mm, stiff), encoding="utf-8")
     _write_stl(folder / "mould.stl", *mould(plan, size_mm, depth_mm))
     _write_stl(folder / "part.stl", *part(plan, size_mm, depth_mm))
+    if stiff is not None:
+        parts = zip(_RUBBERS, (plan.wall & ~stiff, stiff), strict=True)
+        for rubber, wall in ((rubber, wall) for rubber, wall in parts if wall.any()):
+            _write_stl(folder / f"part_{rubber}.stl", *part(plan, size_mm, depth_mm, wall))
     write_vtk(one.result, folder / "inflated.pvd")
     moose.write_case(one.result.mesh, folder / "moose", name)
     record = {

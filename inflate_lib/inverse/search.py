@@ -22,6 +22,7 @@ from inflate_lib import paths
 from inflate_lib._checks import choice, flag, positive_number, whole_number, workers
 from inflate_lib.alternatives.all_digits import nearest_digits
 from inflate_lib.alternatives.digits_model import load_digits_model
+from inflate_lib.alternatives.rubbers import load_rubber_model
 from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulated_before, simulated_sevens
 from inflate_lib.descriptors import Descriptors, describe, get_descriptor
@@ -29,13 +30,13 @@ from inflate_lib.descriptors.registry import DESCRIPTORS, OWN, PHYSICAL, basic, 
 from inflate_lib.diffusion.storage import fingerprint
 from inflate_lib.inverse.candidates import STARTS, Drawings, Neighbours, differences
 from inflate_lib.inverse.constraints import Constraints, mirrored
-from inflate_lib.inverse.refine import Rejection, attempt
+from inflate_lib.inverse.refine import Rejection, attempt, stiff_part
 from inflate_lib.inverse.refine import refine as refine_structure
 from inflate_lib.inverse.smooth import Plan, smoothed
 from inflate_lib.inverse.targets import Targets, as_targets, deviations
 from inflate_lib.mechanics.inflation import Inflation
 from inflate_lib.models.reach import check_reach
-from inflate_lib.models.recipe import load_recipe
+from inflate_lib.models.recipe import EDITION, load_recipe
 from inflate_lib.models.surrogate import centred
 from inflate_lib.models.weights import Model, load_model, trained_models
 
@@ -95,6 +96,11 @@ class Design:
     plan: Plan | None = None
 
     @property
+    def stiff(self) -> np.ndarray | None:
+        """(28, 28) bool: where the wall is of the stiff rubber; None where all of it is of the soft one."""
+        return None if self.plan else stiff_part(self.label, self.result)
+
+    @property
     def error(self) -> float:
         """The largest of the relative errors."""
         return max(self.deviations.values())
@@ -152,6 +158,10 @@ class Designs:
             lines.append(f"The other {len(self.designs) - good} are the nearest misses, and are marked so.")
         if self.model.get("digits"):
             lines.append(_BEYOND)
+        if "stiffness_ratio" in self.model:
+            lines.append(
+                f"Walls are of two rubbers, one {self.model['stiffness_ratio']:g} times as stiff as the other."
+            )
         if smooth := sum(one.plan is not None for one in self.designs):
             lines.append(f"{smooth} have smooth borders, and were inflated with them.")
         if self.refined:
@@ -186,6 +196,7 @@ def design(
     max_candidates: int = 4096,
     refine: int = 60,
     smooth: bool = False,
+    rubbers: bool = False,
     n_jobs: int = -1,
     say: Callable | None = print,
 ) -> Designs:
@@ -226,6 +237,10 @@ def design(
         Give the designs smooth borders that one would cut, and a wall of one thickness, and correct them until they
         inflate to the targets again (:func:`inflate_lib.inverse.smooth.smoothed`). One that cannot be had smooth, or
         not within the tolerance, gives way to another of the pool. Not for stress and stretch, peaks of the pixels.
+    rubbers : bool
+        Walls of two rubbers: candidates are drawn by the model of these alone
+        (:func:`inflate_lib.alternatives.rubbers.load_rubber_model`), pixels with their map. Not for smooth borders, nor
+        for symmetric structures.
     n_jobs : int
         Threads that inflate.
     say : callable, optional
@@ -250,7 +265,11 @@ def design(
     check_smooth(smooth, targets)
     constraints.check()
     _check_symmetric(targets, constraints, tolerance)
-    if start_from == "training":
+    if rubbers:
+        _check_rubbers(model, data, start_from, constraints, smooth)
+        model, start_from = load_rubber_model(profile or EDITION), "model"
+        _check_reach(targets, model.reach)
+    elif start_from == "training":
         model = None
     else:
         replaceable = model is profile is data is None
@@ -448,7 +467,7 @@ def _verified(images, origins, found, seen, n_jobs):
     )
     designs = []
     for (row, kind, _), (reason, label, result) in zip(drawings, attempts, strict=True):
-        key = None if reason else _key(label)
+        key = None if reason else _key(label, result)
         if reason or key in seen:
             found.rejected[reason or Rejection.REPEATED] += 1
             continue
@@ -499,7 +518,7 @@ def _refined(designs, found, seen, tries, n_jobs):
     )
     better = {}
     for one, (label, result, flipped) in zip(near, done, strict=True):
-        if not flipped or (key := _key(label)) in seen:
+        if not flipped or (key := _key(label, result)) in seen:
             continue
         seen.add(key)
         better[id(one)] = _measured(label, result, found, one.candidate, one.origin | {"flipped": flipped})
@@ -507,9 +526,10 @@ def _refined(designs, found, seen, tries, n_jobs):
     return [better.get(id(one), one) for one in designs]
 
 
-def _key(label):
-    """What two label images have in common that are the same structure, wherever it stands."""
-    return centred(label[None]).tobytes()
+def _key(label, result):
+    """What two structures have in common that are the same, wherever they stand."""
+    stiff = stiff_part(label, result)
+    return centred((label if stiff is None else np.where(stiff, 0.25, label))[None]).tobytes()
 
 
 def _training_structures(model, say):
@@ -528,7 +548,7 @@ def _about(model):
     about = {"descriptor": model.name, "weights": fingerprint(*weights, trained.condition_min, trained.condition_max)}
     if model.sampling.get("steering"):
         about["surrogate"] = trained.judge.fingerprint
-    told = ("profile", "source", "digits", "pairs")
+    told = ("profile", "source", "digits", "pairs", "stiffness_ratio")
     return about | {key: trained.metadata[key] for key in told if key in trained.metadata}
 
 
@@ -542,6 +562,16 @@ def _check(n, tolerance, prefer, start_from, seed, seconds, max_candidates, refi
     if prefer is not None:
         choice("prefer", prefer, _PREFERENCES)
     choice("start_from", start_from, STARTS)
+
+
+def _check_rubbers(model, data, start_from, constraints, smooth):
+    """A ValueError where something is asked for that walls of two rubbers cannot be asked for."""
+    given = {"model": model is not None, "data": data is not None, "smooth borders": smooth}
+    given |= {"symmetric structures": constraints.symmetric, "training structures": start_from == "training"}
+    if names := [name for name, there in given.items() if there]:
+        raise ValueError(
+            f"rubbers: candidates of two rubbers are drawn by their own model; leave out {', '.join(names)}"
+        )
 
 
 def check_smooth(smooth, targets):

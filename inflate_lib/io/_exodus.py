@@ -16,7 +16,8 @@ _NAME = 33  # characters of a name, with the zero at its end
 
 
 def write_mesh(mesh, path):
-    """Write a mesh as one element block of QUAD4 with the side set ``cavity`` and the node set ``clamped``.
+    """Write a mesh as element blocks of QUAD4, one for each rubber, with the side set ``cavity`` and the node set
+    ``clamped``.
 
     Parameters
     ----------
@@ -31,25 +32,25 @@ def write_mesh(mesh, path):
     if mesh.clamped.ndim > 1:
         raise ValueError("mesh: nodes that are held in one direction only cannot be written to an Exodus file")
     elements, sides = _pressure_sides(mesh)
-    clamped = np.flatnonzero(mesh.clamped)
+    clamped, found = np.flatnonzero(mesh.clamped), blocks(mesh)
+    place = np.argsort(np.concatenate([rows for _, _, rows in found]))  # of a cell among the elements of the file
     sizes = {
         "time_step": None, "len_string": _NAME, "len_name": _NAME, "len_line": 81, "four": 4, "num_dim": 2,
-        "num_nodes": len(mesh.nodes), "num_elem": len(mesh.cells), "num_el_blk": 1, "num_el_in_blk1": len(mesh.cells),
-        "num_nod_per_el1": 4, "num_side_sets": 1, "num_side_ss1": len(sides), "num_node_sets": 1,
+        "num_nodes": len(mesh.nodes), "num_elem": len(mesh.cells), "num_el_blk": len(found),
+        "num_side_sets": 1, "num_side_ss1": len(sides), "num_node_sets": 1,
         "num_nod_ns1": len(clamped),
     }  # fmt: skip
     variables = {
         "coordx": ("f8", ["num_nodes"], mesh.nodes[:, 0]),
         "coordy": ("f8", ["num_nodes"], mesh.nodes[:, 1]),
         "coor_names": ("S1", ["num_dim", "len_name"], _names("x", "y")),
-        "eb_status": ("i4", ["num_el_blk"], [1]),
-        "eb_prop1": ("i4", ["num_el_blk"], [1]),
-        "eb_names": ("S1", ["num_el_blk", "len_name"], _names("wall")),
-        "connect1": ("i4", ["num_el_in_blk1", "num_nod_per_el1"], mesh.cells + 1),
+        "eb_status": ("i4", ["num_el_blk"], [1] * len(found)),
+        "eb_prop1": ("i4", ["num_el_blk"], np.arange(len(found)) + 1),
+        "eb_names": ("S1", ["num_el_blk", "len_name"], _names(*(name for name, *_ in found))),
         "ss_status": ("i4", ["num_side_sets"], [1]),
         "ss_prop1": ("i4", ["num_side_sets"], [1]),
         "ss_names": ("S1", ["num_side_sets", "len_name"], _names(CAVITY)),
-        "elem_ss1": ("i4", ["num_side_ss1"], elements + 1),
+        "elem_ss1": ("i4", ["num_side_ss1"], place[elements] + 1),
         "side_ss1": ("i4", ["num_side_ss1"], sides + 1),
         "ns_status": ("i4", ["num_node_sets"], [1]),
         "ns_prop1": ("i4", ["num_node_sets"], [2]),  # not the side set's number, so that neither hides
@@ -57,6 +58,10 @@ def write_mesh(mesh, path):
         "node_ns1": ("i4", ["num_nod_ns1"], clamped + 1),
         "time_whole": ("f8", ["time_step"], None),
     }
+    for number, (_, _, rows) in enumerate(found, start=1):
+        size, corners = f"num_el_in_blk{number}", f"num_nod_per_el{number}"
+        sizes |= {size: len(rows), corners: 4}
+        variables[f"connect{number}"] = "i4", [size, corners], mesh.cells[rows] + 1
     with netcdf_file(path, "w", version=2) as file:
         file.title = b"wall of an inflatable structure"
         file.api_version, file.version = np.float32(5.14), np.float32(5.14)
@@ -69,7 +74,19 @@ def write_mesh(mesh, path):
                 variable[:] = values
         for name in ("eb_prop1", "ss_prop1", "ns_prop1"):
             file.variables[name].name = b"ID"
-        file.variables["connect1"].elem_type = b"QUAD4"
+        for number in range(len(found)):
+            file.variables[f"connect{number + 1}"].elem_type = b"QUAD4"
+
+
+def blocks(mesh):
+    """The rubbers of a wall, the softest first: name of the block, stiffness, and the numbers of its cells, (k,).
+
+    One rubber is the block ``wall``; of several, the first is ``rubber_1``.
+    """
+    stiffness = np.broadcast_to(mesh.stiffness, len(mesh.cells))
+    found = [(float(value), np.flatnonzero(stiffness == value)) for value in np.unique(stiffness)]
+    names = ["wall"] if len(found) == 1 else [f"rubber_{number + 1}" for number in range(len(found))]
+    return [(name, *one) for name, one in zip(names, found, strict=True)]
 
 
 def _pressure_sides(mesh):

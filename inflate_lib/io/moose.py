@@ -74,11 +74,7 @@ _INPUT = """\
   [strain]
     type = ComputeLagrangianStrain
   []
-  [stress]
-    type = ComputeNeoHookeanStress
-    lambda = {lam!r}
-    mu = {mu!r}
-  []
+{materials}
 []
 
 [Functions]
@@ -146,23 +142,46 @@ _INPUT = """\
 """
 
 
+_MATERIAL = """\
+  [{name}]
+    type = ComputeNeoHookeanStress
+    lambda = {lam!r}
+    mu = {mu!r}
+  []"""
+
 _STABILIZE = {"mean-dilatation": "true", "q1": "false", "stabilised": "true"}
 
 
-def _input_text(name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU)):
-    """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`."""
+def _input_text(
+    name, n_steps=None, element="mean-dilatation", pressure=PRESSURE, lame=(LAMBDA, MU), rubbers=(("wall", 1.0),)
+):
+    """The MOOSE input for the mesh ``name.e``; the other parameters are those of :func:`inflate_lib.inflate`.
+
+    `rubbers` are the blocks of the mesh, each with what λ and μ are multiplied by.
+    """
     choice("element", element, _STABILIZE)
     lam, mu = check_lame(lame)
     times, pressures = load_history(pressure, n_steps)
     return _INPUT.format(
-        name=name, stabilize=_STABILIZE[element], lam=lam, mu=mu,
+        name=name, stabilize=_STABILIZE[element], materials=_materials(rubbers, lam, mu),
         times=_words(times), pressures=_words(pressures), dtmin=float(times[0]) / 2**MAX_HALVINGS,
         cavity=_exodus.CAVITY, clamped=_exodus.CLAMPED,
     )  # fmt: skip
 
 
+def _materials(rubbers, lam, mu):
+    """The stress of each block."""
+    if len(rubbers) == 1:
+        return _MATERIAL.format(name="stress", lam=lam * rubbers[0][1], mu=mu * rubbers[0][1])
+    texts = []
+    for block, stiffness in rubbers:
+        text = _MATERIAL.format(name=f"stress_{block}", lam=lam * stiffness, mu=mu * stiffness)
+        texts.append(text.replace("Stress\n", f"Stress\n    block = {block}\n"))
+    return "\n".join(texts)
+
+
 def write_case(mesh: "Mesh", folder: str | Path, name: str = "inflation", **parameters: Any) -> list[Path]:
-    """Write ``name.i`` and ``name.e`` into a folder.
+    """Write ``name.i`` and ``name.e`` into a folder: a block and a material for each rubber of the wall.
 
     Parameters
     ----------
@@ -189,7 +208,8 @@ def write_case(mesh: "Mesh", folder: str | Path, name: str = "inflation", **para
     """
     if not name or not all(c.isalnum() or c in "._-" for c in name):
         raise ValueError(f"name: {name!r} must consist of letters, digits, dots, hyphens and underscores")
-    text, files = _input_text(name, **parameters), case_files(folder, name)[:2]
+    rubbers = [(block, stiffness) for block, stiffness, _ in _exodus.blocks(mesh)]
+    text, files = _input_text(name, rubbers=rubbers, **parameters), case_files(folder, name)[:2]
     with hand_out_folder(folder) as place:
         with naming(files[0]):
             (place / f"{name}.i").write_text(text, encoding="utf-8")

@@ -15,7 +15,7 @@ def write_vtk(result: Inflation, path: str | Path) -> list[Path]:
     """ParaView series: a ``.vtu`` for each load step, t = 0 included, and the ``.pvd`` that lists them with times.
 
     Point data: ``displacement`` (3). Cell data, means over the Gauss points: ``F``, ``P`` and ``cauchy_stress`` (9, row
-    by row, with the components across the plane), ``von_mises``, ``largest_stretch``.
+    by row, with the components across the plane), ``von_mises``, ``largest_stretch``, and ``shear_modulus``, μ.
 
     Parameters
     ----------
@@ -96,4 +96,5 @@ def _cell_fields(result):
         "cauchy_stress": rows(sigma, np.zeros((3, 3))),
         "von_mises": np.concatenate([np.zeros((1, m)), stress.von_mises(result)]),
         "largest_stretch": np.concatenate([np.ones((1, m)), stress.largest_stretch(result)]),
+        "shear_modulus": np.broadcast_to(result.lame[1] * result.mesh.stiffness, (len(across) + 1, m)),
     }

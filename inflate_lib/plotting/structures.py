@@ -31,8 +31,11 @@ def draw_mesh(ax, nodes, cells, *, colour=COLOURS.wall, edge="face", linewidth=0
 def draw_shape(ax, mesh, nodes, *, outline=None, **style):
     """A structure whose mesh has its nodes at `nodes` (n, 2): light cavity, wall, clamped edge.
 
-    `outline` is the colour of a thin line around the wall, none by default; `style` is that of :func:`draw_mesh`.
+    `outline` is the colour of a thin line around the wall, none by default; `style` is that of :func:`draw_mesh`. The
+    stiffer of two rubbers is darker, unless the style has another colour.
     """
+    if not {"colour", "array"} & set(style) and np.ptp(mesh.stiffness):
+        style["colour"] = np.where(mesh.stiffness > np.min(mesh.stiffness), COLOURS.stiff, COLOURS.wall)
     pressed = {frozenset(edge) for edge in mesh.pressure_edges.tolist()}
     borders = boundary_loops(mesh.cells)
     cavity = [nodes[loop] for loop in borders if frozenset(loop[:2].tolist()) in pressed]

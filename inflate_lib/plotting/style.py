@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 #: Okabe–Ito colours (distinguishable with every common colour-vision deficiency), named by their role.
 COLOURS = SimpleNamespace(
     wall="#0072B2",  # solid material
+    stiff="#0B2545",  # the stiffer of two rubbers
     void="#DCE9F2",  # pressurised cavity
     ghost="#9A9A9A",  # what stands behind
     shadow="#CCCCCC",  # undeformed shape behind a deformed one

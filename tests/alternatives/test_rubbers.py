@@ -1,18 +1,23 @@
 """Walls of two rubbers: patterns, what flips and shifts do to them, pictures, the data set, the models."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from inflate_lib import describe, inflate, label_image, paths, simulate_dataset
+from inflate_lib.alternatives import rubbers
 from inflate_lib.alternatives.rubbers import (
     FAMILIES,
     LEVELS,
     RATIO,
+    castable,
     from_picture,
     load_rubber_model,
     pattern,
+    rubber_experiment,
     rubber_picture,
     simulate_rubbers,
     simulated_rubbers,
@@ -23,9 +28,10 @@ from inflate_lib.alternatives.rubbers import (
 from inflate_lib.datasets.pairs import held_out
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import JOINT
+from inflate_lib.models import Model
 from inflate_lib.models.recipe import load_recipe
 from inflate_lib.structures.augmentation import augment, augment_descriptors
-from inflate_lib.structures.labels import VOID, WALL, stages
+from inflate_lib.structures.labels import VOID, WALL, point_joints, stages
 from inflate_lib.structures.sources import load_sevens
 
 IMAGES = load_sevens("digits").images[:24]
@@ -125,6 +131,21 @@ def test_a_picture_says_what_a_pair_says():
         assert np.array_equal(stiffness_of(back, read)[wall], stiffness_of(image, stiff)[wall])
 
 
+def test_each_rubber_can_be_cast():
+    for image, stiff in zip(IMAGES, np.random.default_rng(0).random((24, 28, 28)) < 0.4, strict=True):
+        label, stiffness = label_image(image), stiffness_of(image, stiff)
+        wall, cast = label == WALL, castable(stiffness, label)
+        assert set(np.unique(cast)) <= {1.0, RATIO} and np.array_equal(castable(cast, label), cast)
+        for part in (wall & (cast == 1), wall & (cast == RATIO)):
+            pieces, n = ndimage.label(part)
+            assert n == 0 or np.bincount(pieces.ravel())[1:].min() >= 4
+            if not point_joints(label):
+                assert n == ndimage.label(part, np.ones((3, 3)))[1]  # none hang together in corners alone
+    whole = np.where(np.arange(28) < 14, RATIO, 1.0)[None].repeat(28, axis=0)
+    label = label_image(IMAGES[0])
+    assert np.array_equal(castable(whole, label)[label == WALL], whole[label == WALL])
+
+
 def test_other_pictures_are_refused():
     picture = rubber_picture(IMAGES[0], patterns()[0])
     grey = picture.copy()
@@ -151,6 +172,18 @@ def test_a_network_of_two_channels_learns_from_sevens_that_are_not_held_out(tmp_
     assert trained.metadata["pairs"] == 80 and trained.metadata["patterns"] == 2 and held_out(30).sum() == 3
     assert trained.config.image_channels == 2 and trained.metadata["held_out_loss"] > 0
     trained.save(tmp_path / "two.safetensors", half=True)
+
+
+def test_an_experiment_keeps_each_pair_with_its_target(monkeypatch):
+    maps = patterns()
+    drawn = two_channels(IMAGES[:4], maps[:4]) / np.float32(255)
+    drawn[3] = 0
+    monkeypatch.setattr(rubbers, "generate", lambda trained, told, seed: drawn)
+    trained = SimpleNamespace(metadata={"stiffness_ratio": RATIO}, config=SimpleNamespace(parts=()))
+    found = rubber_experiment(Model(JOINT, trained), [[0.9], [1.0]], 2, 0, "height", n_jobs=1)
+    assert found.target.values.ravel().tolist() == [0.9, 0.9, 1.0, 1.0] and found.valid.values.tolist()[3] is False
+    result = inflate(label_image(IMAGES[2]), stiffness=stiffness_of(IMAGES[2], maps[2]))
+    assert found.height.values[2] == describe(result).height and np.array_equal(found.stiff[2], maps[2])
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from PIL import Image
 
 import inflate_lib
 from inflate_lib import describe, inflate, label_image
+from inflate_lib.alternatives.rubbers import pattern, rubber_picture, stiffness_of
 from inflate_lib.cli import _images, app
 from inflate_lib.cli._images import Options, simulate_files
 from inflate_lib.io.pictures import read_images
@@ -377,3 +378,46 @@ def test_contact_is_that_of_the_library(folder, run):
     assert said["structures"][0]["width"] == expected.width
     code, _, err = run("seven.png", "--contact", "--moose", "cases")
     assert code == 1 and "contact: the cases for MOOSE have none" in err and not (folder / "cases").exists()
+
+
+@pytest.fixture
+def two_rubbers(folder):
+    """A picture of two rubbers, and the pair that it is made from."""
+    stiff = pattern(DIGITS[0], "side", np.random.default_rng(1))
+    Image.fromarray(rubber_picture(DIGITS[0], stiff)).save("two.png")
+    return DIGITS[0], stiff
+
+
+def test_a_picture_of_two_rubbers_is_inflated_as_such(two_rubbers, run):
+    image, stiff = two_rubbers
+    for options, how in (((), {}), (("--clamp", "left"), {"clamped": "left"})):
+        code, out, _ = run("two.png", "--rubbers", "4", "--json", "--steps", "2", *options)
+        (record,) = json.loads(out)["structures"]
+        stiffness = stiffness_of(image, stiff, 4.0, **how)
+        expected = describe(inflate(label_image(image, **how), n_steps=2, stiffness=stiffness, **how))
+        assert code == 0 and record["note"] == "" and record["height"] == expected.height
+    code, out, _ = run("two.png", "--json", "--steps", "2")
+    (record,) = json.loads(out)["structures"]
+    assert record["height"] == describe(inflate(label_image(image), n_steps=2)).height
+    assert "--rubbers" in record["note"]
+
+
+def test_files_tell_the_rubbers_apart(two_rubbers, run):
+    code, _, _ = run("two.png", "--rubbers", "4", "--steps", "1", "--vtk", "o.pvd", "--moose", "m", "--plot", "o.png")
+    assert code == 0
+    assert {round(float(mu), 4) for mu in meshio.read("o_001.vtu").cell_data["shear_modulus"][0]} == {0.1644, 0.6576}
+    assert len(meshio.read("m/two.e").cells) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["two.png", "--rubbers", "0"], "rubbers must be a positive number"),
+        (["two.png", "--rubbers", "4", "--invert"], "leave these out"),
+        (["drawing.png", "--rubbers", "4", "--resize"], "leave these out"),
+        (["seven.png", "--rubbers", "4"], "its grey levels must be 0 (outside), 64 (stiff wall)"),
+    ],
+)
+def test_what_is_no_picture_of_two_rubbers_is_refused(two_rubbers, run, arguments, words):
+    code, _, err = run(*arguments)
+    assert code == 1 and words in err and "Traceback" not in err

@@ -9,6 +9,7 @@ import signal
 from collections import Counter
 from dataclasses import replace
 from itertools import count
+from xml.etree import ElementTree
 
 import matplotlib.pyplot as plt
 import meshio
@@ -21,6 +22,7 @@ import xarray as xr
 from PIL import Image
 
 from inflate_lib import describe, inflate, label_image, paths
+from inflate_lib.alternatives.rubbers import castable, from_picture
 from inflate_lib.inverse import save
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.refine import Rejection
@@ -185,6 +187,30 @@ def test_every_file_is_read_by_others(designs, tmp_path):
     assert record.pop("files") == digests(tmp_path / "out")
     assert record == json.loads(json.dumps(_search_record(designs)))
     assert os.listdir(tmp_path) == ["out"]
+
+
+def test_two_rubbers_are_handed_out_apart(designs, tmp_path):
+    label = LABELS[0]
+    grid = castable(np.where(np.arange(28) < 14, 4.0, 1.0)[None].repeat(28, axis=0), label)
+    result = inflate(label, n_steps=1, stiffness=grid)
+    one = replace(designs.designs[0], result=result, shape=describe(result))
+    *_, folder = save_designs(replace(designs, designs=[one]), tmp_path / "out", size_mm=80, depth_mm=15)
+    stiff = one.stiff
+    assert stiff.any() and not stiff.all() and np.array_equal(stiff, (label == WALL) & (grid == 4))
+    image, read = from_picture(np.asarray(Image.open(folder / "structure.png")))
+    assert np.array_equal(label_image(image), label) and np.array_equal(read, stiff)
+    pixel, volumes = (80 / FRAME) ** 2 * 15, {"part_soft": (label == WALL) & ~stiff, "part_stiff": stiff}
+    for name, pixels in volumes.items():
+        solid = trimesh.load_mesh(folder / f"{name}.stl")
+        assert solid.is_watertight and solid.volume == pytest.approx(pixel * pixels.sum(), rel=1e-5)
+    drawn, attributes = svgpathtools.svg2paths(str(folder / "outline.svg"))
+    assert len(drawn) == 2 and attributes[0]["fill"] != attributes[1]["fill"]
+    root = ElementTree.parse(folder / "outline.svg").getroot()
+    assert [layer.get("id") for layer in root] == ["soft", "stiff"]
+    for path, pixels in zip(drawn, volumes.values(), strict=True):
+        area = sum(abs(border.area()) for border in path.continuous_subpaths())
+        assert area == pytest.approx((80 / FRAME) ** 2 * pixels.sum(), rel=1e-4)
+    assert len(meshio.read(folder / "moose" / "design_01.e").cells) == 2
 
 
 @pytest.fixture

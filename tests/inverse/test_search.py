@@ -640,3 +640,43 @@ def test_an_interrupted_search_says_so_and_writes_nothing(run, tmp_path, monkeyp
 def test_deviations_of_nothing_are_none(data):
     assert deviations(Targets(height=1.0), describe(np.array([(0, 0), (1, 0), (0, 1.0)]))) == {"height": 0}
     assert FRAME == 28
+
+
+@pytest.fixture
+def of_two_rubbers(data, monkeypatch):
+    """A model that draws the embedded sevens, the right half of each stiff."""
+    config = TrainingConfig(channels=(4, 8), embedding=16, steps=1, parts=LENGTHS, image_channels=2)
+    net = config.make_net(ALL).eval()
+    trained = TrainedModel(net, config, np.full(ALL, -2.0), np.full(ALL, 2.0), metadata={"stiffness_ratio": 4.0})
+    monkeypatch.setattr(searching, "load_rubber_model", lambda profile: Model("joint", trained, reach=data))
+    half = np.where(np.arange(28) < 14, 0, 255).astype(np.uint8)[None, None].repeat(28, axis=1)
+    pairs = np.stack([DIGITS, half.repeat(len(DIGITS), axis=0)], axis=1) / np.float32(255)
+    monkeypatch.setattr(candidates, "generate", lambda drawn_by, conditions, seed: pairs[: len(conditions)])
+
+
+def test_designs_of_two_rubbers_are_inflated_as_such(of_two_rubbers):
+    options = {"rubbers": True, "max_candidates": 24, "n_jobs": 1, "say": None, "seconds": 600, "tolerance": 0.01}
+    found = design({"height": 0.88}, 3, refine=20, **options)
+    assert found.refined and found.sources == {"model": 24}
+    assert "two rubbers, one 4 times as stiff" in found.summary()
+    for one in found.designs:
+        again = inflate(one.label, stiffness=np.where(one.stiff, 4.0, 1.0))
+        assert describe(again).height == one.shape.height and one.within
+        assert not find_flaw(again) and not one.stiff[one.label != WALL].any()
+    assert any("flipped" in one.origin for one in found.pool)
+    kept = design({"height": 0.88}, 3, refine=0, constraints=Constraints(keep_out=(0.0, 0.0, 0.05, 1.0)), **options)
+    for one in kept.designs:
+        assert describe(inflate(one.label, stiffness=np.where(one.stiff, 4.0, 1.0))).height == one.shape.height
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"smooth": True}, "smooth borders"),
+        ({"constraints": Constraints(symmetric=True)}, "symmetric structures"),
+        ({"start_from": "training"}, "training structures"),
+    ],
+)
+def test_what_two_rubbers_cannot_be_asked_for_is_named(of_two_rubbers, options, named):
+    with pytest.raises(ValueError, match=f"rubbers: .*leave out {named}"):
+        design({"height": 0.88}, 2, rubbers=True, say=None, **options)

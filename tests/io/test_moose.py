@@ -142,6 +142,25 @@ def test_mesh_is_read_back_by_others(mesh, tmp_path):
     assert np.all((outward * to_edge).sum(1) > 0)
 
 
+def test_each_rubber_is_a_block_with_a_material_of_its_own(tmp_path):
+    stiffness = np.where(np.indices(LABEL.shape).sum(axis=0) % 5 < 2, 4.0, 1.0)
+    mesh = build_mesh(LABEL, stiffness=stiffness)
+    text, file = moose.write_case(mesh, tmp_path, "two", lame=(16.0, 0.25))
+    materials = {one["block"]: one for one in read_hit(text.read_text())["Materials"].values() if "block" in one}
+    assert {block: (one["lambda"], one["mu"]) for block, one in materials.items()} == {
+        "rubber_1": ("16.0", "0.25"), "rubber_2": ("64.0", "1.0"),
+    }  # fmt: skip
+    parts = [cells.data for cells in meshio.read(file).cells]
+    for cells, value in zip(parts, (1.0, 4.0), strict=True):
+        assert np.array_equal(cells, mesh.cells[mesh.stiffness == value])
+    with netCDF4.Dataset(file) as opened:
+        assert exodus_text(opened, "eb_names") == ["rubber_1", "rubber_2"]
+        element, side = opened["elem_ss1"][:] - 1, opened["side_ss1"][:] - 1
+    corners = np.concatenate(parts)
+    edges = np.column_stack([corners[element, side], corners[element, (side + 1) % 4]])
+    assert np.array_equal(edges[:, ::-1], mesh.pressure_edges)
+
+
 def test_a_mesh_that_slides_is_no_case(tmp_path):
     with pytest.raises(ValueError, match="one direction only"):
         _exodus.write_mesh(quarter_ring(2), tmp_path / "ring.e")

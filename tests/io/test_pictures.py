@@ -14,6 +14,7 @@ from inflate_lib import inflate, label_image
 from inflate_lib.io import pictures
 from inflate_lib.io.vtk import write_vtk
 from inflate_lib.mechanics import stress
+from inflate_lib.mechanics.inflation import MU
 from inflate_lib.plotting.mechanics import animate_inflation
 from inflate_lib.plotting.structures import draw_inflated
 from inflate_lib.structures.labels import _EDGES
@@ -90,7 +91,8 @@ def test_paraview_series_comes_back(mean, tmp_path):
         assert np.array_equal(grid.cells_dict["quad"], mean.cells)
         assert np.array_equal(grid.points[:, :2], mean.nodes)
         fields = {name: values[0] for name, values in grid.cell_data.items()}
-        assert set(fields) == {"F", "P", "cauchy_stress", "von_mises", "largest_stretch"}
+        assert set(fields) == {"F", "P", "cauchy_stress", "von_mises", "largest_stretch", "shear_modulus"}
+        assert np.all(fields["shear_modulus"] == MU)
         if step == 0:
             assert not grid.point_data["displacement"].any() and not fields["P"].any()
             assert np.array_equal(fields["F"], np.tile(np.eye(3).ravel(), (len(mean.cells), 1)))
@@ -99,6 +101,15 @@ def test_paraview_series_comes_back(mean, tmp_path):
         assert np.allclose(fields["F"], F[step - 1].mean(1).reshape(-1, 9), rtol=0, atol=1e-13)
         assert np.allclose(fields["P"], first_piola[step - 1].mean(1).reshape(-1, 9), rtol=0, atol=1e-10)
         assert np.array_equal(fields["von_mises"], stress.von_mises(mean)[step - 1])
+
+
+def test_paraview_is_told_the_modulus_of_each_rubber(tmp_path):
+    label = label_image(load_sevens("digits").images[0])
+    result = inflate(label, n_steps=1, stiffness=np.where(np.arange(28) < 14, 1.0, 4.0)[None].repeat(28, axis=0))
+    for path in write_vtk(result, tmp_path / "two.pvd")[1:]:
+        right = result.nodes[result.cells].mean(axis=1)[:, 0] > 0.5
+        (modulus,) = meshio.read(path).cell_data["shear_modulus"]
+        assert np.array_equal(modulus, np.where(right, 4 * MU, MU))
 
 
 def test_picture_and_animation(mean, tmp_path):
