@@ -3,16 +3,20 @@
 import type { Bench } from "./bench.ts";
 import { largestMiss, type Targets } from "./descriptors.ts";
 import { button, type Choice, choice, make, quiet, type Slider, slider } from "./dom.ts";
+import { MU } from "./inflation.ts";
 import { FRAME, type Image, VOID } from "./labels.ts";
 import type { StoredModel } from "./model.ts";
 import type { Try } from "./refine.ts";
 import type { Remote } from "./remote.ts";
+import { DEFAULTS, type Settings } from "./share.ts";
 import { type Simulation, sentence } from "./simulate.ts";
 import { TargetFields } from "./target_fields.ts";
 import { draw } from "./view.ts";
-import { Refusal } from "./words.ts";
+import { general, Refusal } from "./words.ts";
 
 const TRIES = 60;
+const OTHER_SETTINGS =
+  " They are inflated with the settings above; the network has learned with the paper's values, and may miss by more here.";
 const FILM = 1500; // milliseconds at least that noise takes to turn into structures, so that it can be watched
 
 export class AskPanel {
@@ -142,15 +146,18 @@ export class AskPanel {
     const judged = [];
     for (const [k, image] of images.entries()) {
       this.goOn();
-      const found = await this.solver.call<Simulation | string>("simulate", [image, {}]);
+      const found = await this.solver.call<Simulation | string>("simulate", [image, this.bench.options]);
       judged.push(this.judged(figures[k], image, found, targets));
     }
     judged.sort((a, b) => a.miss - b.miss);
     this.gallery.replaceChildren(...judged.map((one) => one.figure));
     const good = judged.filter((one) => Number.isFinite(one.miss));
-    this.status.textContent = good.length
+    const verdict = good.length
       ? `${good.length} of ${n} structures can be built; the best misses by ${percent(good[0].miss)}.`
       : `None of ${n} structures can be built: try another seed.`;
+    const { settings } = this.bench;
+    const usual = (Object.keys(DEFAULTS) as (keyof Settings)[]).every((name) => settings[name] === DEFAULTS[name]);
+    this.status.textContent = `${verdict}${usual ? "" : OTHER_SETTINGS}`;
   }
 
   /** A figure with what a structure inflates to and what it misses; broken ones miss by infinity. */
@@ -175,7 +182,7 @@ export class AskPanel {
     caption.replaceChildren(
       words,
       make("br"),
-      button("Edit this one", () => this.bench.take(cavity)),
+      button("Edit this one", () => this.bench.take(cavity), { "aria-label": `Edit this one: ${words}` }),
     );
     return { figure, miss };
   }
@@ -192,10 +199,8 @@ export class AskPanel {
       last = progress;
       this.status.textContent = `Try ${progress.tried} of ${TRIES}: the largest miss is ${percent(progress.miss)}.`;
     };
-    if (!bench.simulation) throw new Refusal("there is no structure to refine");
-    const { label } = bench.simulation;
-    const found = await this.solver.call<Try>("refine", [label, targets, bench.options, 0.002, TRIES], watch);
-    if (found.flipped.length) bench.take(cavityOf(found.label));
+    const { image } = bench.drawing; // what is drawn now may not have been inflated yet
+    const found = await this.solver.call<Try>("refine", [image, targets, bench.options, 0.002, TRIES], watch);
     bench.drawing.mark(found.flipped);
     const pixels = found.flipped.map((k) => `row ${Math.floor(k / FRAME) + 1}, column ${(k % FRAME) + 1}`).join("; ");
     const changed = pixels ? ` Pixels that were changed: ${pixels}.` : " No pixel was changed.";
@@ -221,9 +226,16 @@ export class AskPanel {
 
   private tell(words: unknown): void {
     if (words instanceof Error && !(words instanceof Refusal)) console.error(words);
-    this.status.textContent = words instanceof Error ? sentence(words.message) : String(words);
+    this.status.textContent = words instanceof Error ? sentence(inMu(words.message)) : String(words);
   }
 }
+
+/** A refusal with its stresses in units of μ, in which the page asks for them and shows them. */
+const inMu = (text: string) =>
+  text.replace(/\bstress (\d[\d.e+-]*\b)(?: to (\d[\d.e+-]*\b))?/g, (_, ...[from, to]) => {
+    const ends = [from, to].filter(Boolean).map((value) => general(Number(value) / MU, 3));
+    return `stress σ/μ ${ends.join(" to ")}`;
+  });
 
 const percent = (share: number) => `${(100 * share).toFixed(1)} %`;
 const cavityOf = (label: Image) => label.map((value) => Number(value === VOID));

@@ -99,15 +99,15 @@ export class Bench {
     return { image: this.drawing.image, settings: this.settings, targets: this.asked.get() };
   }
 
-  /** Begin with what the page's address says, or with a structure. */
-  open(): void {
+  /** Show what the page's address says: at first a structure where it says nothing, later what is drawn stays. */
+  open(first: boolean): void {
+    if (first) this.take(start(starts[FIRST].image));
     try {
       const told = this.small ? null : fromFragment(location.hash);
       if (told) this.restore(told);
-      else this.take(start(starts[FIRST].image));
     } catch (error) {
-      this.take(start(starts[FIRST].image));
       this.notice = `${sentence((error as Error).message)} `;
+      this.simulate();
     }
   }
 
@@ -152,7 +152,7 @@ export class Bench {
     this.element.classList.toggle("lab-empty", !this.simulation);
     if (typeof found === "string") {
       this.stop();
-      this.status.textContent = `Nothing can be inflated. ${found}`;
+      this.status.textContent = `${this.notice}Nothing can be inflated. ${found}`;
       this.numbers.replaceChildren();
     } else {
       this.load.input.max = String(found.reached);
@@ -291,7 +291,7 @@ export class Bench {
   }
 
   private saveAndShare(): HTMLElement {
-    const saves = (words: string, name: string, type: string, content: () => string | Promise<Blob>) =>
+    const saves = (words: string, name: string, type: string, content: () => string | Promise<string | Blob>) =>
       button(words, async () => {
         try {
           const made = await content();
@@ -300,10 +300,7 @@ export class Bench {
           this.tell(error);
         }
       });
-    const label = () => {
-      if (!this.simulation) throw new Refusal("there is no structure to save");
-      return this.simulation.label;
-    };
+    const label = () => this.solver.call<Image>("label", [this.drawing.image, this.options]);
     const file: HTMLInputElement = make("input", {
       type: "file",
       accept: ".json,image/*",
@@ -319,8 +316,8 @@ export class Bench {
       "div",
       { class: "lab-buttons" },
       make("span", { class: "lab-title" }, "Save and share"),
-      saves("PNG", "structure.png", "image/png", () => toPng(label())),
-      saves("SVG (mm)", "outline.svg", "image/svg+xml", () => toSvg(label(), this.settings.clamped)),
+      saves("PNG", "structure.png", "image/png", async () => toPng(await label())),
+      saves("SVG (mm)", "outline.svg", "image/svg+xml", async () => toSvg(await label(), this.settings.clamped)),
       saves("JSON", "structure.json", "application/json", () => toJson(this.state)),
       button("Link", () => this.link()),
       button("Open a file …", () => file.click()),

@@ -179,6 +179,7 @@ export class Drawing {
         return;
       }
       event.preventDefault();
+      this.focused = true; // also where a click has brought the focus here
       const [row, column] = this.cursor;
       const here = this.image[row * FRAME + column] ? "drawn" : "empty";
       this.said.textContent = `Row ${row + 1}, column ${column + 1}: ${here}`;

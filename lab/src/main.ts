@@ -96,8 +96,8 @@ function mount(root: HTMLElement): void {
   if (!small && typeof WebAssembly === "undefined") {
     mountStored(root, `This browser has no WebAssembly, with which structures are drawn for what you ask. ${stored}`);
   } else if (!small) root.append(new AskPanel(bench, network, solver).element);
-  bench.open();
-  if (!small) window.addEventListener("hashchange", () => bench.open());
+  bench.open(true);
+  if (!small) window.addEventListener("hashchange", () => bench.open(false));
 }
 
 function start(): void {

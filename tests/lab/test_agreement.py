@@ -1,6 +1,7 @@
 """The laboratory in a real browser, opened from the disk without a network, finds what the library finds."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -8,8 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from inflate_lib import inverse, label_image, load_model, load_sevens
+from inflate_lib import describe, inflate, inverse, label_image, load_model, load_sevens
 from inflate_lib.inverse.drawn import continue_drawn, read_drawn
+from inflate_lib.io.pictures import read_images
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "helpers"))
 import laboratory
@@ -211,14 +213,15 @@ def test_the_keyboard_draws(page):
     page.wait_for_function("document.querySelector('.lab-numbers dd')")
     assert "20 drawn" in page.locator(".lab-drawing").get_attribute("aria-label")
     assert page.locator(".lab-draw [role=status]").text_content() == "Row 23, column 15: drawn"
+    page.locator(".lab-status").first.click()
+    page.locator(".lab-drawing").click()
+    page.keyboard.press("ArrowUp")
+    assert has_colour(page, ".lab-drawing", [213, 94, 0]), "where the keyboard is, is seen after a click, too"
 
 
 def shown(page):
     """All that a link and a file restore, as the page would save it now, and what it inflates to."""
-    with page.expect_download() as download:
-        page.get_by_role("button", name="JSON").click()
-    content = Path(download.value.path()).read_text()
-    return json.loads(content), page.locator(".lab-numbers dd").all_text_contents()
+    return json.loads(saved(page, "JSON").read_text()), page.locator(".lab-numbers dd").all_text_contents()
 
 
 def ask_for_everything(page):
@@ -371,6 +374,77 @@ def test_a_picture_of_another_size_is_drawn_smaller(page, tmp_path, size):
     page.locator("input[type=file]").set_input_files(tmp_path / "picture.png")
     wait_for(page, "Inflated it is")
     assert page.complaints == []
+
+
+def saved(page, words):
+    """What a button of `Save and share` hands out."""
+    with page.expect_download() as download:
+        page.get_by_role("button", name=words).click()
+    return Path(download.value.path())
+
+
+def test_a_picture_and_an_outline_are_of_the_structure_shown(page):
+    """The library inflates the picture to the same height; the outline encloses the wall, in millimetres."""
+    height, *_ = start_from(page, "a seven (2)")
+    images, _ = read_images(saved(page, "PNG"))
+    label = label_image(images[0])
+    assert f"{describe(inflate(label)).height:.3f}" == height
+    text = saved(page, "SVG (mm)").read_text()
+    loops = [np.array(re.findall(r"([\d.]+),([\d.]+)", loop), float) for loop in re.findall(r"M (.*?) Z", text)]
+    areas = sorted(abs(x @ (np.roll(y, -1) - np.roll(y, 1))) / 2 for x, y in (loop.T for loop in loops))
+    assert 'width="100mm"' in text
+    assert areas[-1] - sum(areas[:-1]) == pytest.approx((label == 0.5).sum() * (100 / 28) ** 2, rel=1e-4)
+
+
+def test_what_is_drawn_stays_where_the_reader_goes_to_a_heading(page):
+    start_from(page, "a seven (2)")
+    before = shown(page)
+    for hash in ("#how-it-works", "#lab=broken"):
+        page.evaluate("(hash) => { location.hash = hash; }", hash)
+    wait_for(page, "malformed.*can be built")
+    assert shown(page) == before
+    page.evaluate("location.hash = ''")
+
+
+def test_what_is_refined_and_saved_is_what_is_drawn_at_that_moment(page):
+    """Not what was inflated last."""
+    start_from(page, "a seven (2)")
+    page.locator(".lab-bench").evaluate(
+        """(bench) => {
+          const named = (name) => [...document.querySelectorAll("button")].find((one) => one.textContent === name);
+          for (const name of ["Clear", "PNG", "Refine the drawing"]) named(name).click();
+        }"""
+    )
+    assert wait_for(page, "blank", ".lab-ask").startswith("Image is blank")
+    wait_for(page, "blank")
+
+
+def test_stresses_that_can_be_reached_are_said_as_they_are_asked_for(page):
+    panel = page.locator(".lab-ask")
+    page.evaluate("location.hash = ''")
+    panel.get_by_label("Stress σ/μ: value").fill("9")
+    panel.get_by_role("button", name="Draw structures").click()
+    said = wait_for(page, "out of reach|reached together", ".lab-ask")
+    least, most = map(float, re.search(r"stress σ/μ ([\d.]+) to ([\d.]+)", said).groups())
+    assert 0.1 < least < 1 < most < 5
+    panel.get_by_role("checkbox", name="Stress σ/μ").uncheck()
+
+
+def test_drawn_structures_are_inflated_with_the_settings_on_the_page(page):
+    panel = page.locator(".lab-ask")
+    panel.get_by_label("Height: value").fill("1.0")
+    open_file(page, drawing(np.zeros((28, 28)), settings={"pressure": 0.014}, targets={"height": 1.0}))
+    wait_for(page, "blank")
+    panel.get_by_role("button", name="Draw structures").click()
+    assert "settings above" in wait_for(page, "the best misses", ".lab-ask")
+    miss = float(re.search(r"misses by ([\d.]+) %", status(page, ".lab-ask"))[1])
+    panel.get_by_role("button", name="Edit this one").first.click()
+    wait_for(page, "can be built")
+    height = float(page.locator(".lab-numbers dd").first.text_content())
+    assert 100 * abs(height - 1) == pytest.approx(miss, abs=0.11)
+    page.locator(".lab-settings summary").click()
+    page.get_by_role("button", name="The paper's values").click()
+    page.locator(".lab-settings summary").click()
 
 
 def test_a_page_in_the_background_computes(page):
