@@ -1,11 +1,11 @@
-"""Patterns of two rubbers that move the tip: the derivative that leads to them, and what they reach."""
+"""Patterns of two rubbers that move the tip: the derivatives that lead to them, and what they reach."""
 
 import numpy as np
 import pytest
 from mechanics_peers import hook
 
-from inflate_lib import describe, inflate, label_image
-from inflate_lib.inverse.bending import bend, tip, tip_gradient
+from inflate_lib import inflate, label_image
+from inflate_lib.inverse.bending import _wanted, bend, tip, tip_moves
 from inflate_lib.mechanics.buildable import find_flaw
 from inflate_lib.structures.labels import WALL
 from inflate_lib.structures.sources import load_sevens
@@ -14,31 +14,37 @@ LABELS = [label_image(image) for image in load_sevens("digits").images]
 BUILDABLE = [label for label in LABELS[:12] if not find_flaw(inflate(label))][:4]
 
 
-def test_the_tip_is_the_end_of_the_medial_axis():
-    for label in LABELS[:4]:
-        result = inflate(label)
-        assert tip(result.deformed()) == describe(result).medial_axis[-1, 0]
-
-
-def test_its_gradient_is_its_derivative():
+def test_the_tip_is_the_highest_tenth_and_moves_with_its_nodes():
     result = inflate(LABELS[0])
-    nodes = result.deformed()
-    move = np.random.default_rng(0).normal(size=nodes.shape) * ~result.mesh.clamped[:, None]
-    difference = (tip(nodes + 1e-7 * move) - tip(nodes - 1e-7 * move)) / 2e-7
-    assert (tip_gradient(nodes) * move).sum() == pytest.approx(difference, rel=1e-4)
+    there, height = tip(result.nodes), result.nodes[:, 1]
+    assert there.any() and np.array_equal(there, height >= 0.9 * height.max())
+    moved = result.deformed()[there, 0].mean() - result.nodes[there, 0].mean()
+    assert tip_moves(result)[-1] == pytest.approx(moved, abs=1e-12)
+
+
+def test_stiffer_pixels_move_the_tip_as_the_adjoint_says():
+    """The direction in which `bend` goes first, from one rubber."""
+    label, h = LABELS[0], 1e-4
+    wanted = _wanted(inflate(label), 1)
+    for e in np.argsort(-np.abs(wanted))[[0, 5, 40]]:
+        moved = []
+        for change in (h, -h):
+            grid = np.ones(label.shape)
+            grid[tuple(np.argwhere(label == WALL)[e])] += change
+            moved.append(tip_moves(inflate(label, stiffness=grid))[-1])
+        assert wanted[e] == pytest.approx((moved[0] - moved[1]) / (2 * h), rel=1e-3, abs=1e-8)
 
 
 @pytest.mark.parametrize("number", range(len(BUILDABLE)))
 def test_patterns_move_the_tip_to_both_sides_of_where_one_rubber_does(number):
     label = BUILDABLE[number]
-    one = inflate(label)
-    plain = tip(one.deformed()) - tip(one.nodes)
+    plain = tip_moves(inflate(label))[-1]
     left, right = bend(label, "left"), bend(label, "right")
     assert left.moved < plain - 0.01 and right.moved > plain + 0.01
     for found in (left, right):
         again = inflate(label, stiffness=np.where(found.stiff, 4.0, 1.0))
         assert not find_flaw(again) and not found.stiff[label != WALL].any()
-        assert tip(again.deformed()) - tip(again.nodes) == pytest.approx(found.moved, abs=1e-9)
+        assert tip_moves(again)[-1] == pytest.approx(found.moved, abs=1e-9)
 
 
 def test_a_mirrored_structure_bends_the_other_way():
