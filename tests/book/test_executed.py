@@ -68,6 +68,7 @@ OF_MNIST = {
     "18_design": {"reach_height": (1.4867695172, 1e-8)},
     "21_speed": {"factorisations_ten": (184, 0.02), "factorisations_one": (104, 0.04)},
     "24_all_digits": {"slimmest": (1.6043243, 1e-6)},
+    "25_two_rubbers": {"moved_one": (-0.07554042879, 1e-6), "moved_left": (-0.28056093747, 1e-3)},
 }
 
 

@@ -20,7 +20,7 @@ FOUND = {
     for box in boxes
     for finding in read_findings(box)
 }
-RESULTS = ("08", "09", "10", "11", "12", "13", "14", "15", "16", "17", "18", "19", "21", "24")
+RESULTS = ("08", "09", "10", "11", "12", "13", "14", "15", "16", "17", "18", "19", "21", "24", "25")
 
 
 @pytest.mark.parametrize("number", RESULTS)
