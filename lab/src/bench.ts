@@ -380,7 +380,8 @@ function numbers(found: Descriptors, mu: number): HTMLElement[] {
   const sideways = found.axis.map(([x]) => x);
   const reach = Math.max(0.05, ...sideways.map(Math.abs));
   const path = found.axis.map(([x, y]) => `${x},${found.height - y}`).join(" ");
-  const words = `Medial axis: it ends ${sideways[sideways.length - 1].toFixed(3)} to the right of where it begins`;
+  const end = sideways[sideways.length - 1];
+  const words = `Medial axis: it ends ${Math.abs(end).toFixed(3)} to the ${end < 0 ? "left" : "right"} of where it begins`;
   const axis = make(
     "svg",
     { viewBox: `${-reach - 0.05} -0.05 ${2 * reach + 0.1} ${found.height + 0.1}`, role: "img", class: "lab-axis" },

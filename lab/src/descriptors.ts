@@ -28,7 +28,8 @@ export type DescriptorName = keyof Descriptors;
 export const NAMES: DescriptorName[] = ["height", "width", "area", "stress", "stretch", "axis", "outline"];
 
 /** Descriptors at a load step, the last one by default. Throws a Refusal where that one has no equilibrium. */
-export function describe(result: Inflation, step = result.displacement.length - 1): Descriptors {
+export function describe(result: Inflation, step = (result?.displacement?.length ?? 0) - 1): Descriptors {
+  if (!result?.displacement?.length) throw new Refusal("result must be what inflate gives");
   if (!Number.isInteger(step) || step < 0 || step >= result.displacement.length) {
     throw new Refusal(`step must be a whole number from 0 to ${result.displacement.length - 1}, not ${step}`);
   }

@@ -48,6 +48,9 @@ export function inflate(label: Image, options: InflateOptions = {}): Inflation {
   if (lame.length !== 2 || !lame.every((value) => Number.isFinite(value) && value > 0)) {
     throw new Refusal(`lame must be two positive numbers (λ, μ), not ${lame}`);
   }
+  if (!(timeLimit === undefined || timeLimit > 0)) {
+    throw new Refusal(`timeLimit must be a positive number of seconds, not ${timeLimit}`);
+  }
   const mesh = buildMesh(label, clamped);
   const system = buildSystem(mesh, element, ...lame);
   const pressures = Array.from({ length: steps }, (_, k) => pressure * ((k + 1) / steps));

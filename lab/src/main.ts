@@ -50,17 +50,32 @@ async function network() {
   return { remote: drawer, model: window.inflateModel };
 }
 
+/** What a call may be told; the values are checked where they are used. */
+const OPTIONS = {
+  label: ["threshold", "wall", "clamped"],
+  inflate: ["steps", "pressure", "lame", "clamped", "element", "timeLimit"],
+  draw: ["n", "seed", "purpose", "steps", "guidance", "eta", "sampler", "crowding", "noise"],
+};
+
+function known<T extends object>(call: keyof typeof OPTIONS, options: T): T {
+  const unknown = Object.keys(options ?? {}).find((name) => !OPTIONS[call].includes(name));
+  if (unknown) throw new Refusal(`${call} has no option ${unknown}; it has ${OPTIONS[call].join(", ")}`);
+  return options ?? {};
+}
+
 const inflateLab = {
   /** Label image of a picture: 28 rows of 28 numbers in [0, 1], or an array of all 784. */
-  label: (image: unknown, options: LabelOptions = {}) => solver.call<Image>("label", [image, options]),
+  label: async (image: unknown, options: LabelOptions = {}) =>
+    solver.call<Image>("label", [image, known("label", options)]),
   /** Inflate a label image; `result.converged` says whether every load step has an equilibrium. */
-  inflate: (label: unknown, options: InflateOptions = {}) => solver.call<Inflation>("inflate", [label, options]),
+  inflate: async (label: unknown, options: InflateOptions = {}) =>
+    solver.call<Inflation>("inflate", [label, known("inflate", options)]),
   /** Descriptors of an inflated structure at a load step, the last one by default. */
   describe: (result: Inflation, step?: number) =>
     solver.call<Descriptors>("describe", step === undefined ? [result] : [result, step]),
   /** Images (784 numbers in [0, 1] each) that are drawn to inflate to targets. */
   draw: async (targets: Targets, options: DrawOptions = {}) =>
-    (await network()).remote.call<Float64Array[]>("draw", [targets, options]),
+    (await network()).remote.call<Float64Array[]>("draw", [targets, known("draw", options)]),
 };
 
 declare global {

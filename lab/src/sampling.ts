@@ -2,8 +2,10 @@
 
 import { Refusal } from "./words.ts";
 
+const SAMPLERS = ["dpm-solver++", "ddim"] as const;
+
 export interface SamplingOptions {
-  sampler: "dpm-solver++" | "ddim";
+  sampler: (typeof SAMPLERS)[number];
   steps: number;
   eta: number; // noise between 0 (deterministic) and 1
   guidance: number;
@@ -51,6 +53,7 @@ export async function* denoise(
   objective: string,
   { sampler, steps, eta, crowding }: SamplingOptions,
 ): AsyncGenerator<Float32Array> {
+  if (!SAMPLERS.includes(sampler)) throw new Refusal(`sampler must be one of ${SAMPLERS.join(", ")}, not ${sampler}`);
   const times = timesteps(alphaBars.length, steps, crowding);
   const snr = (t: number) => Math.log(alphaBars[t] / (1 - alphaBars[t]));
   let x = noise();

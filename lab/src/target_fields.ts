@@ -67,8 +67,12 @@ export class TargetFields {
     this.set({});
   }
 
-  /** What is asked for now, to four digits. Throws a Refusal where something is no target. */
+  /** What is asked for now, to four digits. Throws a Refusal where something is no target, or nothing is asked for. */
   get(): Targets {
+    return checkTargets(this.ticked());
+  }
+
+  private ticked(): Targets {
     const targets: Targets = {};
     for (const [name, , , factor] of NUMBERS) {
       const field = this.numbers.get(name);
@@ -76,12 +80,12 @@ export class TargetFields {
     }
     if (this.axis.box.checked) targets.axis = this.axis.points();
     if (this.outline.box.checked && this.outline.supports) targets.outline = this.outline.supports;
-    return checkTargets(targets);
+    return targets;
   }
 
   /** What goes with the structure into a file: nothing, until something has been asked for. */
   stored(): Targets {
-    return this.touched ? this.get() : {};
+    return this.touched && Object.keys(this.ticked()).length ? this.get() : {};
   }
 
   set(targets: Targets): void {

@@ -8,7 +8,7 @@ import { findFlaw } from "../src/buildable.ts";
 import { crossings, selfContact } from "../src/contact.ts";
 import { describe, describeNodes, deviation, gradient, largestMiss, outlineGradient } from "../src/descriptors.ts";
 import { blockNumber, eliminate, factorise, solve } from "../src/factor.ts";
-import { deformed, inflate } from "../src/inflation.ts";
+import { deformed, type Inflation, inflate } from "../src/inflation.ts";
 import { FRAME, labelImage, labelled, pointJoints, turned, VOID, WALL } from "../src/labels.ts";
 import { boundaryLoops, buildMesh, cavityLines } from "../src/mesh.ts";
 import { crumbs, refine } from "../src/refine.ts";
@@ -262,6 +262,8 @@ test("options out of range are refused", () => {
   refused({ lame: [0, 1] }, /lame/);
   refused({ element: "q2" }, /element/);
   refused({ clamped: "middle" }, /clamped/);
+  refused({ timeLimit: -1 }, /timeLimit/);
+  assert.throws(() => describe({} as Inflation), { name: "Refusal", message: /what inflate gives/ });
   assert.throws(() => labelImage([[0, 1]]), /shape \(1, 2\)/);
   assert.throws(() => labelImage(new Float64Array(784).fill(2)), /values from 2 to 2/);
   assert.throws(() => labelImage("seven"), /not an array/);

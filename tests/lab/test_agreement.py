@@ -261,6 +261,9 @@ def test_a_link_and_a_file_restore_drawing_settings_and_targets(page, tmp_path):
     page.reload()
     page.wait_for_function(laboratory.READY)
     assert shown(page)[0]["targets"] == {}, "nothing has been asked for"
+    for change in ("check", "uncheck"):
+        getattr(page.get_by_role("checkbox", name="Height"), change)()
+    assert shown(page)[0]["targets"] == {}, "nothing is asked for any longer"
     for restore in (
         lambda: page.evaluate("(hash) => { location.hash = hash; }", address),
         lambda: open_file(page, content),
@@ -293,6 +296,21 @@ def test_what_is_no_structure_is_refused_with_a_sentence(page, name, content, sa
     open_file(page, content, name)
     wait_for(page, said)
     assert page.complaints == []
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        ("label([], { wal: 1 })", "label has no option wal; it has threshold, wall, clamped"),
+        ("inflate([], { step: 1 })", "inflate has no option step"),
+        ("describe(null)", "result must be what inflate gives"),
+        ("draw({ height: 1 }, { guide: 3 })", "draw has no option guide"),
+        ("draw({ height: 1 }, { sampler: 'euler' })", "sampler must be one of dpm-solver++, ddim, not euler"),
+    ],
+)
+def test_a_call_from_the_console_is_refused_with_a_sentence(page, call, said):
+    refusal = page.evaluate(f"inflateLab.{call}.then(String, (error) => `${{error.name}}: ${{error.message}}`)")
+    assert refusal.startswith(f"Refusal: {said}")
 
 
 @pytest.mark.parametrize(
@@ -409,6 +427,7 @@ def test_what_is_drawn_stays_where_the_reader_goes_to_a_heading(page):
 def test_what_is_refined_and_saved_is_what_is_drawn_at_that_moment(page):
     """Not what was inflated last."""
     start_from(page, "a seven (2)")
+    page.get_by_label("Height: value").fill("1.0")
     page.locator(".lab-bench").evaluate(
         """(bench) => {
           const named = (name) => [...document.querySelectorAll("button")].find((one) => one.textContent === name);
