@@ -195,23 +195,18 @@ class Study:
         given, rows = self.given, []
         axes, _ = held_out_targets(self.two[0], "width+axis", None, None, given.seed)
         axes = np.concatenate([axes, held_out_targets(self.two[1], "width+axis", None, None, given.seed)[0]])
-        lean, width = np.abs(axes[:, -2]), axes[:, 0]
+        everything = descriptor_matrix(self.one, "width+axis")
         built = self.one["buildable"].values
-        known = descriptor_matrix(self.one, "width+axis")[built]
-        narrow = width <= np.median(known[:, 0])
-        leaning = lean >= np.percentile(np.abs(known[:, -2]), 75)
-        chosen = axes[narrow & leaning]
+        known = everything[built]
+        limits = np.median(known[:, 0]), np.percentile(np.abs(known[:, -2]), 75)
+
+        def in_question(values):
+            return (values[:, 0] <= limits[0]) & (np.abs(values[:, -2]) >= limits[1])
+
+        chosen = axes[in_question(axes)]
         near = np.array([nearest(known, target) for target in chosen])
-        share = {"narrow and leaning %": 100 * float((narrow & leaning).mean())}
-        share |= {
-            "of one rubber %": 100
-            * float(
-                np.mean(
-                    (known[:, 0] <= np.median(known[:, 0]))
-                    & (np.abs(known[:, -2]) >= np.percentile(np.abs(known[:, -2]), 75))
-                )
-            )
-        }
+        share = {"narrow and leaning %": 100 * float(in_question(axes).mean())}
+        share |= {"of one rubber %": 100 * float(in_question(everything).mean())}
         share |= {"not met %": 100 * float(np.mean(near > MET)), "n": len(chosen)}
         self.say(share)
         pick = np.random.default_rng(given.seed).permutation(np.flatnonzero(near > MET))[: given.beyond]
@@ -292,7 +287,7 @@ class Study:
 
     def cost(self, n=200, repeats=5):
         data = self.two[0]
-        meshes = {name: [] for name in ("one rubber", "one rubber, said for each pixel", "two rubbers")}
+        meshes = {name: [] for name in ("one rubber", "one rubber, a number per pixel", "two rubbers")}
         for row in np.flatnonzero(data["converged"].values)[:n]:
             label = label_image(data["image"].values[row])
             stiffness = stiffness_of(data["image"].values[row], data["stiff"].values[row])
