@@ -190,16 +190,19 @@ export class AskPanel {
   private async refine(): Promise<void> {
     const { bench } = this;
     const targets = this.fields.get();
+    const { image } = bench.drawing; // what is drawn now may not have been inflated yet
+    let known = image.slice();
     let last: Try | null = null;
     const watch = (progress: Try) => {
+      if (known.some((value, k) => value !== image[k])) return this.stop(); // the reader draws on
       if (progress.flipped.length !== (last?.flipped.length ?? 0)) {
         bench.take(cavityOf(progress.label));
         bench.drawing.mark(progress.flipped);
+        known = image.slice();
       }
       last = progress;
       this.status.textContent = `Try ${progress.tried} of ${TRIES}: the largest miss is ${percent(progress.miss)}.`;
     };
-    const { image } = bench.drawing; // what is drawn now may not have been inflated yet
     const found = await this.solver.call<Try>("refine", [image, targets, bench.options, 0.002, TRIES], watch);
     bench.drawing.mark(found.flipped);
     const pixels = found.flipped.map((k) => `row ${Math.floor(k / FRAME) + 1}, column ${(k % FRAME) + 1}`).join("; ");

@@ -171,29 +171,36 @@ def test_noise_turns_into_structures_before_the_readers_eyes(page):
     set_slider(panel.get_by_label("Structures"), 4)
 
 
-def test_a_second_click_stops_what_is_computed(page):
+def test_a_second_click_stops_a_drawing(page):
     panel = page.locator(".lab-ask")
     draw = panel.get_by_role("button", name="Draw structures")
     draw.evaluate("(button) => { button.click(); button.click(); }")
     wait_for(page, "^Stopped", ".lab-ask")
     draw.click()
     wait_for(page, "misses by|can be built", ".lab-ask")
+    assert page.complaints == []
+
+
+@pytest.mark.parametrize(("button", "shown"), [("Stop", "can be built"), ("Clear", "blank")])
+def test_a_second_click_or_a_stroke_stops_a_refinement(page, button, shown):
+    """What the reader draws meanwhile stays."""
+    panel = page.locator(".lab-ask")
     height = float(start_from(page, "a seven (2)")[0])
     panel.get_by_label("Height: value").fill(str(0.93 * height))
     panel.evaluate(
-        """(panel) => {
-          const [draw, refine] = panel.querySelectorAll(".lab-buttons button");
+        """(panel, button) => {
           const status = panel.querySelector(".lab-status");
           new MutationObserver((_, observer) => {
             if (!status.textContent.startsWith("Try")) return;
             observer.disconnect();
-            draw.click();
+            [...document.querySelectorAll("button")].find((one) => one.textContent === button).click();
           }).observe(status, { childList: true });
-          refine.click();
-        }"""
+          panel.querySelectorAll(".lab-buttons button")[1].click();
+        }""",
+        button,
     )
     wait_for(page, "^Stopped", ".lab-ask")
-    wait_for(page, "can be built")
+    wait_for(page, shown)
     assert page.complaints == []
 
 
