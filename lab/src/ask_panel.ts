@@ -207,7 +207,8 @@ export class AskPanel {
     bench.drawing.mark(found.flipped);
     const pixels = found.flipped.map((k) => `row ${Math.floor(k / FRAME) + 1}, column ${(k % FRAME) + 1}`).join("; ");
     const changed = pixels ? ` Pixels that were changed: ${pixels}.` : " No pixel was changed.";
-    this.status.textContent = `After ${found.tried} tries the largest miss is ${percent(found.miss)}.${changed}`;
+    const tries = `${found.tried} ${found.tried === 1 ? "try" : "tries"}`;
+    this.status.textContent = `After ${tries} the largest miss is ${percent(found.miss)}.${changed}`;
   }
 
   private goOn(): void {
