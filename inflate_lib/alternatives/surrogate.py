@@ -4,11 +4,11 @@ It learns from the structures that the diffusion models are trained on, and thei
 that are held out; one that models learn from or are steered by sees blends of these structures as well.
 """
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
+import xarray as xr
 from torch import Tensor, nn
 
 from inflate_lib._cache import cached, code_version, digest, step_version
@@ -18,26 +18,25 @@ from inflate_lib.datasets.pairs import training_rows
 from inflate_lib.datasets.simulate import simulate_dataset
 from inflate_lib.datasets.storage import load_dataset, save_dataset
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
-from inflate_lib.descriptors.registry import basic, columns, name_of
+from inflate_lib.descriptors.registry import JOINT, basic, columns, name_of
 from inflate_lib.diffusion import storage
 from inflate_lib.diffusion.loop import fit
 from inflate_lib.diffusion.randomness import initialised
+from inflate_lib.experiments.run import run_experiment
 from inflate_lib.models.surrogate import CHANNELS, Network, Surrogate, centred, robust
-
-if TYPE_CHECKING:
-    import xarray as xr
+from inflate_lib.models.weights import Model
 
 BATCH = 64
 _RATE = 2e-3  # the largest learning rate
 
 
 def train_surrogate(
-    data: "xr.Dataset",
+    data: xr.Dataset,
     steps: int = 1500,
     seed: int = 0,
     rows: np.ndarray | None = None,
     answers: str | None = None,
-    further: "xr.Dataset | None" = None,
+    further: xr.Dataset | None = None,
     channels: tuple[int, ...] = CHANNELS,
     batch_size: int = BATCH,
 ) -> Surrogate:
@@ -94,7 +93,7 @@ def train_surrogate(
     return Surrogate(net, answers, mean, scale, seconds)
 
 
-def blends_of(data: "xr.Dataset", n: int, seed: int = 0) -> "xr.Dataset":
+def blends_of(data: xr.Dataset, n: int, seed: int = 0) -> xr.Dataset:
     """Blends (``alternatives.blend``) of the structures that models are trained on, simulated; from the cache."""
     images = data["image"].values[training_rows(data)]
 
@@ -108,6 +107,22 @@ def blends_of(data: "xr.Dataset", n: int, seed: int = 0) -> "xr.Dataset":
         "code": step_version("dataset") + code_version("inflate_lib.alternatives.blends"),
     }
     return load_dataset(cached("blends", key, make, ".nc"))
+
+
+def drawings_of(models: Sequence[Model], data: xr.Dataset, n: int, seed: int = 0) -> xr.Dataset:
+    """What models draw for descriptors of the structures that they are trained on, simulated; from the cache.
+
+    About `n` in all. Each model draws as many; one that takes any combination, as many for each part alone.
+    """
+    rng, rows, found = np.random.default_rng(seed), training_rows(data), []
+    for model in models:
+        asked = get_descriptor(model.name)
+        for part in asked.parts if asked.any_part else (model.name,):
+            share = n // len(models) // (len(asked.parts) if asked.any_part else 1)
+            targets = descriptor_matrix(data, part)[rng.choice(rows, share)]
+            found.append(run_experiment(model, targets, 1, seed, part))
+    wanted = ["label", "converged", *(get_descriptor(name).variable for name in get_descriptor(JOINT).parts)]
+    return xr.concat([one[wanted] for one in found], "structure")
 
 
 def train_once(

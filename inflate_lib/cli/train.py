@@ -28,7 +28,7 @@ def train(
     A machine that has little but PyTorch: --pack pairs.safetensors, and there python -m inflate_lib.models.remote …
     """
     paths.need_checkout("inflate train")
-    from inflate_lib.alternatives.students import judge_of, student_file
+    from inflate_lib.alternatives.students import steering_surrogate, student_file
     from inflate_lib.datasets.simulate import simulated_sevens
     from inflate_lib.descriptors import DESCRIPTORS, get_descriptor
     from inflate_lib.diffusion import ranks, storage
@@ -82,8 +82,10 @@ def train(
                 if recipe.student:
                     student = student_file(out / f"{name}.safetensors", recipe, data)
                     text += "\n" + _export(student, name, told, out / STUDENTS)
-                if recipe.tuning:
-                    judge_of(data, recipe).save(out / STUDENTS / f"{SURROGATE}.safetensors")
+            if recipe.tuning:
+                surrogate = steering_surrogate(data, recipe, out / STUDENTS)
+                surrogate.save(out / STUDENTS / f"{SURROGATE}.safetensors")
+            for name in names:
                 try:
                     calibrate_weights(out, data, recipe, [name])
                 except ValueError as error:  # it can be used all the same, told the target itself

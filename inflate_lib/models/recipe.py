@@ -37,7 +37,13 @@ _INTERACTIVE = "interactive"  # the profile of such a notebook
 #: What structures are drawn for: ``sampling`` says how for the first, ``samplers`` may for the others.
 PURPOSES = ("faithful", "varied", "quick", "steered")
 _STUDENT = ("strongest", "distillation_steps")
-_TUNING = {"steps": 1000, "weight": 0.05, "blends": 30_000, "surrogate_steps": 6000}  # and their defaults
+_TUNING = {
+    "steps": 1000,
+    "weight": 0.05,
+    "blends": 30_000,
+    "surrogate_steps": 6000,
+    "drawings": 0,
+}  # and their defaults
 #: What is checked of each option of sampling; `generate` itself checks the rest.
 _SAMPLING = {
     "sampler": partial(choice, among=("ancestral", "ddim", "dpm-solver++")),
@@ -80,8 +86,9 @@ class Recipe:
         Empty: there is none.
     tuning : Mapping
         How the student is tuned (:func:`inflate_lib.diffusion.distillation.tune`): ``steps`` and ``weight`` there;
-        ``blends`` and ``surrogate_steps``, with which the surrogate is trained that judges it; ``steps_of`` as there.
-        Empty: it is not.
+        ``blends`` and ``surrogate_steps``, with which the surrogate is trained that judges it; ``drawings`` that
+        another one learns from as well, which then steers (0: the same one steers); ``steps_of`` as there. Empty: it is
+        not tuned.
     """
 
     source: str
@@ -107,7 +114,10 @@ class Recipe:
         _check_names("student", self.student, _STUDENT)
         _check_names("tuning", self.tuning, (*_TUNING, "steps_of"))
         for name, value in self.tuned().items():
-            positive_number(f"tuning.{name}", value) if name == "weight" else whole_number(f"tuning.{name}", value, 1)
+            if name == "weight":
+                positive_number(f"tuning.{name}", value)
+            else:
+                whole_number(f"tuning.{name}", value, 0 if name == "drawings" else 1)
         if self.tuning and not self.student:
             raise ValueError("tuning: there is no student to tune; give the section student as well")
         if not self.tuning and any(isinstance(way, Mapping) and way.get("steering") for way in self.samplers.values()):

@@ -25,6 +25,7 @@ CHANNELS, HIDDEN = (8, 16, 32), 128
 _KIND = "surrogate"
 _SHARPNESS = 12.0  # of the border between dark and bright; at ∞ it is the threshold of the label image
 _LARGEST = 0.5  # change of a pixel in one step, of the range from −1 to 1
+_REPEATS = 2  # steps of each correction: the first leaves what is not linear, and, of several parts, some of each
 
 
 class Network(nn.Module):
@@ -153,8 +154,8 @@ class Judge:
 
         x̂₀ ← x̂₀ − 2 E / ‖g‖² · g.
 
-    This is Polyak's step: with one descriptor, and as long as ŷ is linear, it removes the error at once. The gradient
-    is not taken through the diffusion model, which would triple the cost.
+    This is Polyak's step: with one descriptor, and as long as ŷ is linear, it removes the error at once; it is made
+    twice. The gradient is not taken through the diffusion model, which would triple the cost.
     """
 
     def __init__(self, surrogate: Surrogate, model: TrainedModel, descriptor: str):
@@ -163,6 +164,12 @@ class Judge:
 
     def __call__(self, x0: Tensor, y: Tensor) -> Tensor:
         """What to add to clean images (n, 1, 28, 28) in [−1, 1] that were drawn for the scaled conditions y (n, N)."""
+        moved = x0
+        for _ in range(_REPEATS):
+            moved = moved + self._step(moved, y)
+        return moved - x0
+
+    def _step(self, x0, y):
         with torch.inference_mode(False), torch.enable_grad():
             x0 = x0.clone().requires_grad_()
             answers, wanted = self._scale.compare(x0, y.clone())

@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 import torch
+import xarray as xr
 from invented import invented_data
 
-from inflate_lib import paths
+from inflate_lib import describe, inflate, paths, simulated_sevens
 from inflate_lib.alternatives import surrogate
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor
 from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.diffusion import TrainedModel, TrainingConfig
+from inflate_lib.models import load_model
 from inflate_lib.models import surrogate as models_surrogate
 
 RNG = np.random.default_rng(3)
@@ -112,3 +114,20 @@ def test_one_that_sees_blends_learns_from_them_as_well(data, tmp_path, monkeypat
     image = data["image"].values[:1]
     assert plain.predict(image, "height") != more.predict(image, "height")
     assert np.array_equal(plain.mean, more.mean) and np.array_equal(plain.scale, more.scale)
+
+
+def test_one_that_steers_learns_from_what_is_drawn(tmp_path, monkeypatch):
+    """Each model draws its share for what training structures are, the joint one a seventh of it for each part."""
+    monkeypatch.setattr(paths, "CACHE", tmp_path)
+    data = simulated_sevens("digits", 30)
+    models = [load_model(name).made_for("quick").sampled(steps=2) for name in ("height", "joint")]
+    drawings = surrogate.drawings_of(models, data, 14, seed=1)
+    assert drawings.sizes["structure"] == 7 + 7
+    usable = drawings["converged"].values
+    assert usable.sum() > 5
+    again = describe(inflate(drawings["label"].values[usable][0]))
+    assert drawings["height"].values[usable][0] == pytest.approx(again.height, rel=1e-12)
+    blends = surrogate.blends_of(data, 4, seed=1)
+    both = xr.concat([blends[list(drawings)], drawings], "structure")
+    trained = surrogate.train_surrogate(data, steps=2, answers="joint", further=both)
+    assert np.isfinite(trained.predict(data["image"].values[:1], "outline")).all()

@@ -54,7 +54,7 @@ def test_another_purpose_changes_what_it_names():
         ({"samplers": {"quick": 5}}, "samplers.quick must be a mapping of options, not 5"),
         ({"samplers": {"quick": {"stps": 5}}}, "quick: unknown stps; there are: sampler, steps"),
         ({"tuning": {"steps": 5}}, "tuning: there is no student to tune"),
-        ({"tuning": {"stps": 5}}, "tuning: unknown stps; there are: steps, weight, blends, surrogate_steps"),
+        ({"tuning": {"stps": 5}}, "tuning: unknown stps; there are: steps, weight, blends, surrogate_steps, drawings"),
         ({"tuning": {"steps_of": {"lenght": 5}}, "student": {"strongest": 5.0}}, "lenght"),
         ({"tuning": {"blends": 0}}, r"tuning\.blends must be a whole number of at least 1"),
         ({"tuning": {"weight": 0}}, r"tuning\.weight must be a positive"),
