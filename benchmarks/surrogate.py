@@ -1,8 +1,8 @@
-"""What the surrogate that tunes the students can tell of held-out structures, descriptor by descriptor.
+"""What the surrogate that steers the students can tell of held-out structures, descriptor by descriptor.
 
     python benchmarks/surrogate.py
 
-finds it trained in the cache, or trains it (ten minutes), and writes data/reference/surrogate.csv, which the chapter
+asks the one that is stored with the weights, and writes data/reference/surrogate.csv, which the chapter
 "Ask for your own shape" shows, and surrogate.json beside it, which says where it comes from.
 """
 
@@ -12,14 +12,16 @@ import numpy as np
 import pandas as pd
 from stored import store
 
+from inflate_lib import paths
 from inflate_lib._cache import step_version
-from inflate_lib.alternatives.students import judge_of
 from inflate_lib.datasets.pairs import held_out
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import descriptor_matrix
 from inflate_lib.descriptors.registry import PARTS
 from inflate_lib.experiments.metrics import r_squared
 from inflate_lib.models.recipe import load_recipe
+from inflate_lib.models.surrogate import Surrogate
+from inflate_lib.models.weights import STUDENTS, SURROGATE
 
 
 def main():
@@ -28,7 +30,8 @@ def main():
     parser.add_argument("--source", default="mnist")
     given = parser.parse_args()
     recipe, data = load_recipe(given.profile), simulated_sevens(given.source)
-    surrogate, rows = judge_of(data, recipe), []
+    surrogate = Surrogate.load(paths.PRETRAINED / given.profile / STUDENTS / f"{SURROGATE}.safetensors")
+    rows = []
     unseen = np.flatnonzero(held_out(data.sizes["structure"]) & data["converged"].values)
     for name in PARTS:
         truth = descriptor_matrix(data, name)[unseen]

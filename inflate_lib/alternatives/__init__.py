@@ -1,4 +1,4 @@
-"""What else could be done: chance, retrieval, an autoencoder, a surrogate, best of many, other recipes, all digits."""
+"""What else could be done: chance, retrieval, an autoencoder, a surrogate, students, best of many, all digits."""
 
 from typing import TYPE_CHECKING
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import xarray as xr
 
 from inflate_lib._cache import cached, step_version
+from inflate_lib.alternatives.distillation import distil, tune
 from inflate_lib.alternatives.surrogate import blends_of, drawings_of, train_surrogate
 from inflate_lib.descriptors.registry import JOINT
 from inflate_lib.diffusion import TrainedModel
-from inflate_lib.diffusion.distillation import distil, tune
 from inflate_lib.models.recipe import Recipe
 from inflate_lib.models.surrogate import Surrogate, critic
 from inflate_lib.models.train import training_set
@@ -36,7 +36,11 @@ def student_file(path: Path, recipe: Recipe, data) -> Path:
     def make(target, scratch):
         distil(teacher, *pairs.pairs, config, scratch, f"distilling {pairs.descriptor}").save(target)
 
-    key = pairs.about | {"training": config.recipe(), "teacher": teacher.fingerprint, "code": step_version("model")}
+    key = pairs.about | {
+        "training": config.recipe(),
+        "teacher": teacher.fingerprint,
+        "code": step_version("alternative"),
+    }
     path = cached("model", key, make, ".safetensors")
     return tuned_file(path, teacher, recipe, data) if recipe.tuning else path
 
@@ -75,7 +79,7 @@ def steering_surrogate(data, recipe: Recipe, students: Path) -> Surrogate:
     """The surrogate that steers the students in a folder: it has seen what they draw when :func:`judge_of` steers them.
 
     Drawings that a surrogate has corrected are not as the structures that it learned from: it is most wrong where it
-    leads them. What came of them is simulated and learned from in turn, as in DAgger (Ross et al. 2011).
+    leads them. What came of them is simulated and learned from in turn, as in dataset aggregation (Ross et al. 2011).
     """
     first, options = judge_of(data, recipe), recipe.tuned()
     if not options["drawings"]:

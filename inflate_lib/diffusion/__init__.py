@@ -1,8 +1,7 @@
 """Conditional denoising diffusion (section 2 of the paper). Needs PyTorch, NumPy and safetensors only.
 
 The modules follow the paper: ``schedule`` and ``process`` (sections 2.1, 2.2), ``unet`` and ``training`` (section 4.1),
-``sampling`` (section 2.3); ``distillation`` halves its cost. ``config``, ``model`` and ``storage`` hold what a run is
-made of and the files it leaves.
+``sampling`` (section 2.3). ``config``, ``model`` and ``storage`` hold what a run is made of and the files it leaves.
 """
 
 from inflate_lib.diffusion.config import TrainingConfig

@@ -98,7 +98,7 @@ class UNet(nn.Module):
     parts : sequence of int
         Lengths of the parts of y, in order, each of which may be withheld by NaN; empty: y is given or withheld whole.
     told_guidance : bool
-        The strength of guidance is an input as well (:mod:`inflate_lib.diffusion.distillation`).
+        The strength of guidance is an input as well (:mod:`inflate_lib.alternatives.distillation`).
     image_channels : int
         Channels of the images.
     """

@@ -85,7 +85,7 @@ class Recipe:
         Options of :class:`inflate_lib.diffusion.TrainingConfig` for a student: ``strongest``, ``distillation_steps``.
         Empty: there is none.
     tuning : Mapping
-        How the student is tuned (:func:`inflate_lib.diffusion.distillation.tune`): ``steps`` and ``weight`` there;
+        How the student is tuned (:func:`inflate_lib.alternatives.distillation.tune`): ``steps`` and ``weight`` there;
         ``blends`` and ``surrogate_steps``, with which the surrogate is trained that judges it; ``drawings`` that
         another one learns from as well, which then steers (0: the same one steers); ``steps_of`` as there. Empty: it is
         not tuned.

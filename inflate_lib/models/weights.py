@@ -124,7 +124,7 @@ class Model:
             As the experiments of the paper are made, which is how every model comes; with more steps, which draw more
             various structures; with few; or, for designs, corrected by a surrogate of the simulation, which comes
             nearest to the target (where none is stored, as for "quick"). Where there is a student
-            (:mod:`inflate_lib.diffusion.distillation`), it answers for all but the first.
+            (:mod:`inflate_lib.alternatives.distillation`), it answers for all but the first.
 
         Raises
         ------

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from inflate_lib.alternatives.distillation import distil, tune
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, cosine_schedule, generate, process, train
-from inflate_lib.diffusion.distillation import distil, tune
 from inflate_lib.diffusion.loop import Loop
 from inflate_lib.diffusion.sampling import guided
 
