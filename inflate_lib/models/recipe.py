@@ -123,6 +123,9 @@ class Recipe:
         if not self.tuning and any(isinstance(way, Mapping) and way.get("steering") for way in self.samplers.values()):
             raise ValueError("samplers: steering needs the surrogate of the section tuning")
         _check_names("samplers", self.samplers, PURPOSES[1:])
+        steered = self.samplers.get("steered")
+        if self.tuned().get("drawings") and not (isinstance(steered, Mapping) and steered.get("steering")):
+            raise ValueError("tuning.drawings needs a way to steer them: samplers.steered with the option steering")
         for where, options in {"sampling": self.sampling, **self.samplers}.items():
             if not isinstance(options, Mapping):
                 raise ValueError(f"samplers.{where} must be a mapping of options, not {options!r}")

@@ -57,6 +57,10 @@ def test_another_purpose_changes_what_it_names():
         ({"tuning": {"stps": 5}}, "tuning: unknown stps; there are: steps, weight, blends, surrogate_steps, drawings"),
         ({"tuning": {"steps_of": {"lenght": 5}}, "student": {"strongest": 5.0}}, "lenght"),
         ({"tuning": {"blends": 0}}, r"tuning\.blends must be a whole number of at least 1"),
+        (
+            {"tuning": {"drawings": 9}, "student": {"strongest": 5.0}, "samplers": {"steered": {"steps": 5}}},
+            r"tuning\.drawings needs a way to steer them",
+        ),
         ({"tuning": {"weight": 0}}, r"tuning\.weight must be a positive"),
         ({"samplers": {"slow": {}}}, "samplers: unknown slow; there are: varied, quick"),
         ({"sampling": {"steps": 0}}, r"sampling\.steps must be a whole number of at least 1"),
