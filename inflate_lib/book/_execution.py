@@ -28,6 +28,7 @@ from inflate_lib import paths
 from inflate_lib._cache import CacheError, writing
 from inflate_lib._files import draft
 from inflate_lib._progress import MARK, RUNNER, Display
+from inflate_lib.book._fork import POSSIBLE, ForkedKernel, ForkServer
 from inflate_lib.book.profiles import declared_parameters
 
 logging.getLogger("papermill").setLevel(logging.CRITICAL)  # what it would say, NotebookFailed says
@@ -48,15 +49,18 @@ class Kernels:
     ----------
     environment
         Variables for the kernels, on top of this process's own.
+    forked
+        Fork them from one process, where that is possible: it pays where many follow one another.
     """
 
-    def __init__(self, environment: Mapping[str, str]):
+    def __init__(self, environment: Mapping[str, str], forked: bool = False):
         self._folder = tempfile.TemporaryDirectory(prefix="inflate-kernels-")
         own = {"MPLBACKEND": "module://matplotlib_inline.backend_inline", "MATPLOTLIBRC": os.devnull}
         self.environment = {**os.environ, **own, "IPYTHONDIR": self._folder.name, **environment}
         self.stopped = False
         self._processes: set[int] = set()
         self._lock = threading.Lock()
+        self._server = ForkServer(self.environment, str(paths.ROOT)) if forked and POSSIBLE else None
 
     def manager(self, environment: Mapping[str, str], words: Path) -> type[AsyncKernelManager]:
         """A kernel manager class for nbclient: whatever kernels are registered on the machine, this Python is used.
@@ -75,6 +79,10 @@ class Kernels:
                 if kernels.stopped:
                     raise NotebookFailed("stopped")
                 options |= {"env": {**kernels.environment, **environment}, "cwd": str(paths.ROOT)}
+                if kernels._server:
+                    self.provisioner = ForkedKernel(
+                        kernels._server, str(words), parent=self, kernel_id="", kernel_spec=self.kernel_spec
+                    )
                 with words.open("wb") as said:
                     await super().start_kernel(**options, stdout=said, stderr=said)
                 with kernels._lock:
@@ -92,6 +100,8 @@ class Kernels:
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.killpg(process, signal.SIGKILL)  # a kernel leads its own process group
             self._processes.clear()
+        if self._server:
+            self._server.stop()
 
     def __enter__(self) -> "Kernels":
         return self

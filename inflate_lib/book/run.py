@@ -259,7 +259,8 @@ def _run(todo: list[_Job], jobs: int, console: Console, schedule: Schedule) -> d
     environment["PYTHONWARNINGS"] = ",".join(filter(None, [os.environ.get("PYTHONWARNINGS"), _RESTARTED]))
     display = Bars(console, schedule) if console.is_terminal else Lines(console, schedule)
     seconds = {}
-    with _kill_is_ctrl_c(), display, Kernels(environment) as kernels, ThreadPoolExecutor(jobs) as pool:
+    many = len(todo) > 2 * jobs
+    with _kill_is_ctrl_c(), display, Kernels(environment, many) as kernels, ThreadPoolExecutor(jobs) as pool:
         futures = [pool.submit(_timed, job, kernels, display) for job in todo]
         try:
             for future in as_completed(futures):

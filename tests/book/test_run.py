@@ -17,7 +17,7 @@ from rich.console import Console
 
 from inflate_lib import paths
 from inflate_lib._cache import CacheError
-from inflate_lib.book import build
+from inflate_lib.book import _execution, build
 from inflate_lib.book import run as reproduce
 from inflate_lib.book._execution import NotebookFailed
 from inflate_lib.book.build import build_book, check_book
@@ -544,12 +544,15 @@ def alive(process):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("forked", [False, True], ids=["started", "forked"])
 @pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL])
-def test_a_killed_run_ends_its_kernel_leaves_nothing_and_is_resumed(home, kill):
+def test_a_killed_run_ends_its_kernel_leaves_nothing_and_is_resumed(home, kill, forked):
     add(home, "01_first", LONG_STEP)
     environment = {**os.environ, "INFLATE_HOME": str(home), "INFLATE_CACHE": str(home / "data" / "cache")}
-    command = [sys.executable, "-c", "from inflate_lib.cli.app import run; run()", "reproduce", "--only", "01_first"]
-    command += ["--profile", "ci"]
+    command = [sys.executable, "-c", "from inflate_lib.cli.app import run; run()", "reproduce", "--profile", "ci"]
+    command += ["--jobs", "1"] if forked else ["--only", "01_first"]
+    if forked:  # which it is where several follow one another
+        add(home, "03_third", "print(3)")
     first = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     mark = home / "kernel.pid"
     deadline = time.monotonic() + 90
@@ -567,5 +570,43 @@ def test_a_killed_run_ends_its_kernel_leaves_nothing_and_is_resumed(home, kill):
         time.sleep(0.1)
     assert not alive(kernel)
     assert not [path for path in (home / "book" / "notebooks").iterdir() if "ipynb" in path.name]
-    run(only=["first"])
+    run(only=["first"])  # in a kernel that is started
     assert f"first half by {kernel}, resumed" in (home / "book" / "notebooks" / "01_first.ipynb").read_text()
+
+
+ABOUT_ITSELF = """\
+import os, sys, threading
+import matplotlib, numpy, torch
+from joblib import Parallel, delayed
+import inflate_lib
+
+def square(k):
+    return k * k
+
+print(os.getcwd(), sys.path, __name__, os.getpid() == os.getpgid(0), sys.flags.hash_randomization)
+print({k: v for k, v in sorted(os.environ.items()) if k.startswith(("INFLATE", "PYTHON", "MPL")) or "THREADS" in k})
+print(matplotlib.get_backend(), torch.get_num_threads(), torch.arange(9.0).reshape(3, 3).svd()[1])
+print(Parallel(2)(delayed(square)(k) for k in range(4)), signal if "signal" in globals() else "own names only")
+matplotlib.pyplot.plot(numpy.arange(3));"""
+
+
+@pytest.mark.slow
+def test_a_forked_kernel_is_like_one_that_was_started(home, monkeypatch):
+    names, pages = ["01_first", "02_second", "03_third"], {}
+    for name in names:
+        add(home, name, "import matplotlib.pyplot", ABOUT_ITSELF)
+    for forked in (True, False):
+        monkeypatch.setattr(_execution, "POSSIBLE", forked)
+        run(jobs=1, force=True)
+        pages[forked] = [nbformat.read(paths.EXECUTED / f"{name}.ipynb", 4).cells[-1].outputs for name in names]
+    assert pages[True] == pages[False]
+    kinds = [output.get("data", {}).keys() for output in pages[True][0]]
+    assert any("image/png" in kind for kind in kinds)
+
+
+@pytest.mark.slow
+def test_a_fork_server_that_dies_is_quoted(home, monkeypatch):
+    add(home, "03_third", "print(3)")
+    (home / "torch.py").write_text("import sys\nsys.exit('no torch today')")
+    with pytest.raises(NotebookFailed, match=r"forked from has ended: no torch today"):
+        run(jobs=1)
