@@ -189,8 +189,9 @@ def _smaller_pieces(drawings: Tensor) -> Tensor:
     alone = np.zeros((3, 3, 3), bool)
     alone[1] = True  # eight neighbours, all of the same drawing
     pieces, _ = ndimage.label(bright, alone)
-    sizes = np.append(0, np.bincount(pieces.ravel())[1:])[pieces]
-    return torch.from_numpy(bright & (sizes < sizes.max(axis=(1, 2), keepdims=True)))[:, None]
+    sizes = np.append(0, np.bincount(pieces.ravel())[1:])[pieces].reshape(len(bright), -1)
+    largest = np.take_along_axis(pieces.reshape(sizes.shape), sizes.argmax(axis=1)[:, None], axis=1)
+    return torch.from_numpy(bright & (pieces != largest[:, :, None]))[:, None]
 
 
 def soft_label(images: Tensor) -> Tensor:

@@ -102,11 +102,12 @@ def test_a_critic_sees_of_a_broken_drawing_what_is_simulated():
     judge.net = models_surrogate.Network(len(judge.mean))
     judged, y = models_surrogate.critic(judge, model, "height"), torch.zeros(20, 1)
     blots = ndimage.gaussian_filter(RNG.standard_normal((20, 28, 28)), (0, 2, 2))
-    broken = (blots > np.quantile(blots, 0.9)).astype(np.float32)
+    broken = (blots > np.quantile(blots, 0.85, axis=(1, 2), keepdims=True)).astype(np.float32)
     whole = np.array([main_component(image) for image in broken], np.float32)
     assert (broken != whole).any(axis=(1, 2)).all()
     x, alone = (torch.from_numpy(2 * images - 1)[:, None] for images in (broken, whole))
     assert torch.equal(judged(x, y), judged(alone, y))
+    assert (judged(-x, y) - judged(alone, y)).abs().min() > 1e-6  # which it could have told
     x.requires_grad_()
     judged(x, y).sum().backward()
     assert not x.grad[x.detach() != alone].any() and x.grad[alone > 0].any()
