@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 # xarray is imported where it is used: the processes that simulate need none, and start in half the time without.
 
 PIECE = 32  # structures per unit of work, which is what a killed run can lose; fewer where there are few in all
-ALONE = 768  # as many structures are done in this process before two others have started and done them
+ALONE = 128  # as many structures are done in this process before others have started
 TIME_LIMIT = 1.0, 0.1  # seconds allowed for a structure, or per load step if that is more; see `inflation.inflate`
 
 #: What the variables besides the descriptors hold, and their units.

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy import ndimage
 from torch import Tensor, nn
 
 from inflate_lib.descriptors import get_descriptor
@@ -140,8 +139,7 @@ def critic(surrogate: Surrogate, model: TrainedModel, descriptor: str) -> Callab
     scale = _Scale(surrogate, model, descriptor)
 
     def loss(x: Tensor, y: Tensor) -> Tensor:
-        whole = torch.where(_smaller_pieces(x), -1.0, x)  # a broken drawing is judged as it is simulated
-        return robust(*scale.compare(whole, y)) @ scale.share
+        return robust(*scale.compare(x, y)) @ scale.share
 
     return loss
 
@@ -181,17 +179,6 @@ class Judge:
         step = -(2 * error.detach() / steepness)[:, None, None, None] * gradient
         largest = step.abs().flatten(1).amax(dim=1).clamp(min=_LARGEST)
         return step * (_LARGEST / largest)[:, None, None, None]
-
-
-def _smaller_pieces(drawings: Tensor) -> Tensor:
-    """Where drawings (n, 1, 28, 28) in [−1, 1] have bright pixels that :func:`label_image` drops."""
-    bright = (drawings[:, 0].detach() > 2 * labels.THRESHOLD - 1).numpy()
-    alone = np.zeros((3, 3, 3), bool)
-    alone[1] = True  # eight neighbours, all of the same drawing
-    pieces, _ = ndimage.label(bright, alone)
-    sizes = np.append(0, np.bincount(pieces.ravel())[1:])[pieces].reshape(len(bright), -1)
-    largest = np.take_along_axis(pieces.reshape(sizes.shape), sizes.argmax(axis=1)[:, None], axis=1)
-    return torch.from_numpy(bright & (pieces != largest[:, :, None]))[:, None]
 
 
 def soft_label(images: Tensor) -> Tensor:
