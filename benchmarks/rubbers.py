@@ -32,17 +32,8 @@ from threadpoolctl import threadpool_limits
 from inflate_lib import build_mesh, describe, inflate, label_image, paths
 from inflate_lib.alternatives.ablation import measures
 from inflate_lib.alternatives.all_digits import MET, nearest_miss, reachable_area, sizes_of
-from inflate_lib.alternatives.rubbers import (
-    FAMILIES,
-    FILE,
-    RATIO,
-    calibrated,
-    load_rubber_model,
-    rubber_experiment,
-    rubber_picture,
-    simulated_rubbers,
-    stiffness_of,
-)
+from inflate_lib.alternatives.patterns import FAMILIES, RATIO, rubber_picture, stiffness_of
+from inflate_lib.alternatives.rubbers import FILE, calibrated, load_rubber_model, rubber_experiment, simulated_rubbers
 from inflate_lib.datasets.pairs import held_out
 from inflate_lib.datasets.simulate import simulated_sevens
 from inflate_lib.descriptors import descriptor_matrix, get_descriptor

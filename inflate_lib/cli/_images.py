@@ -15,7 +15,7 @@ import numpy as np
 from inflate_lib import mechanics
 from inflate_lib._checks import choice, positive_number
 from inflate_lib._files import check_outputs, naming
-from inflate_lib.alternatives.rubbers import from_picture, is_picture, stiffness_of
+from inflate_lib.alternatives.patterns import from_picture, is_picture, stiffness_of
 from inflate_lib.alternatives.stabilised import check_element, inflate_with
 from inflate_lib.descriptors import describe
 from inflate_lib.descriptors.registry import basic

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from inflate_lib._checks import choice, positive_number, whole_number
-from inflate_lib.alternatives.rubbers import RATIO
+from inflate_lib.alternatives.patterns import RATIO
 from inflate_lib.datasets.simulate import TIME_LIMIT
 from inflate_lib.inverse.adjoint import sensitivities
 from inflate_lib.mechanics.buildable import find_flaw

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from inflate_lib._checks import choice
-from inflate_lib.alternatives.rubbers import castable, stiffness_of
+from inflate_lib.alternatives.patterns import castable, stiffness_of
 from inflate_lib.datasets.simulate import TIME_LIMIT
 from inflate_lib.descriptors import describe, get_descriptor
 from inflate_lib.inverse.adjoint import flip_changes, sensitivities
@@ -50,7 +50,7 @@ def attempt(image, constraints):
     ----------
     image : (28, 28) or (2, 28, 28) array
         Of two rubbers, the second part is the map of the stiff one, which is changed where nobody could cast it
-        (:func:`inflate_lib.alternatives.rubbers.castable`).
+        (:func:`inflate_lib.alternatives.patterns.castable`).
     constraints : Constraints
 
     Returns

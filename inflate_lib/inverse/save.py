@@ -18,7 +18,7 @@ import inflate_lib
 from inflate_lib._checks import positive_number
 from inflate_lib._files import check_outputs, file_digest, hand_out_folder, locked, made, naming, sweep, written_before
 from inflate_lib._provenance import package_versions
-from inflate_lib.alternatives.rubbers import picture_of
+from inflate_lib.alternatives.patterns import picture_of
 from inflate_lib.inverse.search import Designs
 from inflate_lib.inverse.smooth import pixel_plan
 from inflate_lib.io import moose, pictures
@@ -47,7 +47,7 @@ def save_designs(
     smooth design the pixels that it comes from), ``picture.png``, ``outline.svg``
     (mm), ``mould.stl`` (a tray in which the structure is cast) and ``part.stl`` (the structure itself),
     ``inflated.pvd`` with its series, ``moose/``, and ``design.json`` with seed and provenance. Where walls are of two
-    rubbers, ``structure.png`` has a grey level for each (:data:`inflate_lib.alternatives.rubbers.LEVELS`),
+    rubbers, ``structure.png`` has a grey level for each (:data:`inflate_lib.alternatives.patterns.LEVELS`),
     ``outline.svg`` a layer for each, and ``part_soft.stl`` and ``part_stiff.stl`` are what is cast of each.
 
     Everything is written aside first, and moved to its place when it is whole.

@@ -6,7 +6,6 @@ Numbers in the file count from one.
 """
 
 import numpy as np
-import xarray as xr
 from scipy.io import netcdf_file
 from scipy.spatial import cKDTree
 
@@ -121,6 +120,8 @@ def read_displacement(path, nodes):
     ValueError
         Where the file is no Exodus file or half of one, lacks ``disp_x`` or ``disp_y``, or has other nodes.
     """
+    import xarray as xr  # here, since `inflate simulate` is quicker without
+
     try:
         with open(path, "rb") as stream:
             engine = "scipy" if stream.read(3) == b"CDF" else "h5netcdf"  # others read half a file as zeros

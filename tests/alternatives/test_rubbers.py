@@ -9,19 +9,21 @@ from scipy import ndimage
 
 from inflate_lib import describe, inflate, label_image, paths, simulate_dataset
 from inflate_lib.alternatives import rubbers
-from inflate_lib.alternatives.rubbers import (
+from inflate_lib.alternatives.patterns import (
     FAMILIES,
     LEVELS,
     RATIO,
     castable,
     from_picture,
-    load_rubber_model,
     pattern,
-    rubber_experiment,
     rubber_picture,
+    stiffness_of,
+)
+from inflate_lib.alternatives.rubbers import (
+    load_rubber_model,
+    rubber_experiment,
     simulate_rubbers,
     simulated_rubbers,
-    stiffness_of,
     train_rubbers,
     two_channels,
 )

@@ -544,8 +544,11 @@ def alive(process):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("forked", [False, True], ids=["started", "forked"])
-@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    ("kill", "forked"),
+    [(signal.SIGTERM, False), (signal.SIGKILL, False), (signal.SIGKILL, True)],
+    ids=["SIGTERM", "SIGKILL", "SIGKILL, forked"],
+)
 def test_a_killed_run_ends_its_kernel_leaves_nothing_and_is_resumed(home, kill, forked):
     add(home, "01_first", LONG_STEP)
     environment = {**os.environ, "INFLATE_HOME": str(home), "INFLATE_CACHE": str(home / "data" / "cache")}

@@ -4,6 +4,7 @@ import json
 import os
 import resource
 import signal
+import subprocess
 import sys
 
 import meshio
@@ -13,7 +14,7 @@ from PIL import Image
 
 import inflate_lib
 from inflate_lib import describe, inflate, label_image
-from inflate_lib.alternatives.rubbers import pattern, rubber_picture, stiffness_of
+from inflate_lib.alternatives.patterns import pattern, rubber_picture, stiffness_of
 from inflate_lib.cli import _images, app
 from inflate_lib.cli._images import Options, simulate_files
 from inflate_lib.io.pictures import read_images
@@ -421,3 +422,11 @@ def test_files_tell_the_rubbers_apart(two_rubbers, run):
 def test_what_is_no_picture_of_two_rubbers_is_refused(two_rubbers, run, arguments, words):
     code, _, err = run(*arguments)
     assert code == 1 and words in err and "Traceback" not in err
+
+
+def test_it_starts_without_what_it_does_not_need():
+    """Together they would take longer to import than a structure takes to inflate, many times."""
+    heavy = "torch", "xarray", "pandas", "seaborn", "sklearn"
+    code = f"import sys, inflate_lib.cli._images; print(sys.modules.keys() & {set(heavy)})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

@@ -22,7 +22,7 @@ import xarray as xr
 from PIL import Image
 
 from inflate_lib import describe, inflate, label_image, paths
-from inflate_lib.alternatives.rubbers import castable, from_picture
+from inflate_lib.alternatives.patterns import castable, from_picture
 from inflate_lib.inverse import save
 from inflate_lib.inverse.constraints import Constraints
 from inflate_lib.inverse.refine import Rejection
