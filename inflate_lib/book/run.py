@@ -260,20 +260,31 @@ def _run(todo: list[_Job], jobs: int, console: Console, schedule: Schedule) -> d
     display = Bars(console, schedule) if console.is_terminal else Lines(console, schedule)
     seconds = {}
     many = len(todo) > 2 * jobs
-    with _kill_is_ctrl_c(), display, Kernels(environment, many) as kernels, ThreadPoolExecutor(jobs) as pool:
-        futures = [pool.submit(_timed, job, kernels, display) for job in todo]
+    with _kill_is_ctrl_c(), Kernels(environment, many) as kernels:
         try:
-            for future in as_completed(futures):
-                name, time_taken = future.result()
-                seconds[name] = time_taken
-                display.finished(name, time_taken)
-        except BaseException as error:
-            kernels.stop()
-            pool.shutdown(cancel_futures=True)
-            if isinstance(error, KeyboardInterrupt):
-                raise RunError("stopped; run the same command again to go on") from None
-            raise
+            if many:
+                _simulate(todo[0].recipe)
+            with display, ThreadPoolExecutor(jobs) as pool:
+                futures = [pool.submit(_timed, job, kernels, display) for job in todo]
+                try:
+                    for future in as_completed(futures):
+                        name, time_taken = future.result()
+                        seconds[name] = time_taken
+                        display.finished(name, time_taken)
+                except BaseException:
+                    kernels.stop()
+                    pool.shutdown(cancel_futures=True)
+                    raise
+        except KeyboardInterrupt:
+            raise RunError("stopped; run the same command again to go on") from None
     return seconds
+
+
+def _simulate(recipe: Recipe) -> None:
+    """Make the data set that nearly every notebook asks for, on all cores, before they wait for each other to do so."""
+    from inflate_lib.datasets.simulate import simulated_sevens_file  # it is compiled when it is imported
+
+    simulated_sevens_file(recipe.source, recipe.n_structures)
 
 
 def _timed(job: _Job, kernels: Kernels, display: Display) -> tuple[str, float]:
