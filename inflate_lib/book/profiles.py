@@ -5,6 +5,7 @@ A profile is a file ``notebooks/profiles/<name>.yml``::
     name: ci
     description: minutes on two cores
     recipe: {…}              # see inflate_lib.models.recipe; a notebook asks for it by the profile's name
+    first: 08_dataset        # runs alone before the others: it makes, on all cores, what most of them wait for
     budget:                  # seconds that a notebook may take beside another one; 60 where nothing is said
       08_dataset: 45
     common:                  # given to every notebook that declares the parameter
@@ -51,6 +52,7 @@ class Profile(BaseModel):
     name: str = Field(pattern=r"^[a-z][a-z0-9_-]*$")
     description: str = ""
     recipe: dict[str, Any]
+    first: str | None = None
     budget: dict[str, float] | None = None
     common: dict[str, Any] = {}
     notebooks: dict[str, dict[str, Any]] = {}
@@ -130,6 +132,8 @@ def check_profile(profile: Profile, notebooks: list[Path]) -> None:
             problems.append(f"common.{name}: no notebook declares this parameter")
         found = (_mismatch(f"common.{name}", value, default) for default in users)
         problems += dict.fromkeys(filter(None, found))
+    if profile.first and profile.first not in declared:
+        problems.append(f"first: there is no notebook {profile.first}; there are: {', '.join(declared)}")
     for notebook in profile.budget or ():
         if notebook not in declared:
             problems.append(f"budget.{notebook}: there is no such notebook; there are: {', '.join(declared)}")

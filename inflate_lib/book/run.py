@@ -180,10 +180,11 @@ def reproduce(
         for job in work:
             console.print(f"{job.name}: {reasons[job.name] or 'fresh'}", highlight=False)
         jobs = min(jobs, max(1, len(todo)))
-        budgets = load_profile(profile_name).budgets(job.source for job in work)
+        profile = load_profile(profile_name)
+        budgets = profile.budgets(job.source for job in work)
         todo.sort(key=lambda job: -budgets.get(job.name, 0.0))  # the longest first: none runs alone at the end
         schedule = Schedule({job.name: budgets[job.name] for job in todo if budgets}, jobs, then)
-        seconds = _run(todo, jobs, console, schedule)
+        seconds = _run(todo, jobs, console, schedule, profile.first)
     _print_timings(console, profile_name, work, seconds, budgets)
 
 
@@ -251,8 +252,13 @@ def _named(notebooks: Sequence[Path]) -> str:
     return " and ".join(repr(notebook.stem) for notebook in notebooks)
 
 
-def _run(todo: list[_Job], jobs: int, console: Console, schedule: Schedule) -> dict[str, float]:
-    """Execute the jobs; seconds by name. The first failure, Ctrl-C or a kill ends all that still run."""
+def _run(
+    todo: list[_Job], jobs: int, console: Console, schedule: Schedule, first: str | None = None
+) -> dict[str, float]:
+    """Execute the jobs, the one of that name alone before the others; seconds by name.
+
+    The first failure, Ctrl-C or a kill ends all that still run.
+    """
     threads = str(max(1, (os.cpu_count() or 1) // jobs))
     environment = {name: os.environ.get(name, threads) for name in _THREADS}
     environment |= {"INFLATE_HOME": str(paths.ROOT), "INFLATE_CACHE": str(paths.CACHE), "PYTHONHASHSEED": "0"}
@@ -260,31 +266,20 @@ def _run(todo: list[_Job], jobs: int, console: Console, schedule: Schedule) -> d
     display = Bars(console, schedule) if console.is_terminal else Lines(console, schedule)
     seconds = {}
     many = len(todo) > 2 * jobs
-    with _kill_is_ctrl_c(), Kernels(environment, many) as kernels:
+    with _kill_is_ctrl_c(), display, Kernels(environment, many) as kernels, ThreadPoolExecutor(jobs) as pool:
         try:
-            if many:
-                _simulate(todo[0].recipe)
-            with display, ThreadPoolExecutor(jobs) as pool:
-                futures = [pool.submit(_timed, job, kernels, display) for job in todo]
-                try:
-                    for future in as_completed(futures):
-                        name, time_taken = future.result()
-                        seconds[name] = time_taken
-                        display.finished(name, time_taken)
-                except BaseException:
-                    kernels.stop()
-                    pool.shutdown(cancel_futures=True)
-                    raise
-        except KeyboardInterrupt:
-            raise RunError("stopped; run the same command again to go on") from None
+            for group in ([job for job in todo if job.name == first], [job for job in todo if job.name != first]):
+                for future in as_completed([pool.submit(_timed, job, kernels, display) for job in group]):
+                    name, time_taken = future.result()
+                    seconds[name] = time_taken
+                    display.finished(name, time_taken)
+        except BaseException as error:
+            kernels.stop()
+            pool.shutdown(cancel_futures=True)
+            if isinstance(error, KeyboardInterrupt):
+                raise RunError("stopped; run the same command again to go on") from None
+            raise
     return seconds
-
-
-def _simulate(recipe: Recipe) -> None:
-    """Make the data set that nearly every notebook asks for, on all cores, before they wait for each other to do so."""
-    from inflate_lib.datasets.simulate import simulated_sevens_file  # it is compiled when it is imported
-
-    simulated_sevens_file(recipe.source, recipe.n_structures)
 
 
 def _timed(job: _Job, kernels: Kernels, display: Display) -> tuple[str, float]:

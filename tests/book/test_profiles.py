@@ -71,6 +71,7 @@ def test_parameters_are_defaults_then_common_then_section(notebooks, tmp_path):
         ("notebooks: {01_first: {options: 3}}", r"options: 3 is int"),
         ("notebooks: {01_first: {profile: x}}", r"the runner sets this one itself"),
         ("common: {profile: x}", r"common\.profile: the runner sets this one itself"),
+        ("first: 03_third", r"first: there is no notebook 03_third"),
         ("budget: {03_third: 60}", r"budget\.03_third: there is no such notebook"),
     ],
 )

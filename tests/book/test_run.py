@@ -516,6 +516,19 @@ def test_a_figure_that_a_notebook_no_longer_makes_goes_away(home):
     assert notebook.metadata.inflate["published"] == ["ci/fig_01_first.png"]
 
 
+def test_the_notebook_that_the_others_wait_for_runs_alone_before_them(home):
+    for name in ("01_first", "02_second"):
+        add(
+            home, name, f"import time\nstart = time.time()\nopen('{name}.txt', 'w').write(f'{{start}} {{time.time()}}')"
+        )
+    (home / "notebooks" / "profiles" / "ci.yml").write_text(f"name: ci\nfirst: 02_second\n{RECIPE}")
+    run(jobs=2)
+    (start, _), (_, end) = (
+        map(float, (home / f"{name}.txt").read_text().split()) for name in ("01_first", "02_second")
+    )
+    assert end < start
+
+
 LONG_STEP = """\
 import os, time
 from pathlib import Path
