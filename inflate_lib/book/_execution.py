@@ -79,7 +79,7 @@ class Kernels:
                 if kernels.stopped:
                     raise NotebookFailed("stopped")
                 options |= {"env": {**kernels.environment, **environment}, "cwd": str(paths.ROOT)}
-                if kernels._server:
+                if kernels._server and kernels._server.ready():
                     self.provisioner = ForkedKernel(
                         kernels._server, str(words), parent=self, kernel_id="", kernel_spec=self.kernel_spec
                     )

@@ -1,8 +1,8 @@
 """A process that has imported what every notebook imports, and forks a kernel for each, which so starts at once.
 
 PyTorch, scikit-learn, Seaborn and the rest take some eight seconds to import, which is more than most chapters compute.
-``python -m inflate_lib.book._fork`` reads orders from its standard input, a line of JSON each, and answers with the
-process id of a kernel that it has forked. It ends with that input, and with it end its kernels.
+``python -m inflate_lib.book._fork`` says that it is ready, reads orders from its standard input, a line of JSON each,
+and answers with the process id of a kernel that it has forked. It ends with that input, and with it end its kernels.
 """
 
 import atexit
@@ -10,6 +10,7 @@ import importlib
 import json
 import os
 import runpy
+import select
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from jupyter_client.provisioning import LocalProvisioner
 #: Packages alone: modules of this library are cheap, and may look at their environment.
 _IMPORTED = ("torch", "numba", "pandas", "xarray", "matplotlib.pyplot", "seaborn", "sklearn.cluster")
 _IMPORTED += ("skimage.morphology", "scipy.optimize", "ipykernel.kernelapp")
+_READY = "ready\n"
 #: A process that has threads cannot be forked safely; on macOS, system libraries start them on import.
 POSSIBLE = sys.platform == "linux"
 
@@ -32,32 +34,38 @@ class ForkServer:
 
     def __init__(self, environment: Mapping[str, str], folder: str):
         self._process = subprocess.Popen(
-            [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             env=dict(environment), cwd=folder, start_new_session=True, text=True,
         )  # fmt: skip
-        self._lock = Lock()
+        assert self._process.stdin
+        assert self._process.stdout
+        self._orders, self._answers = self._process.stdin, self._process.stdout
+        self._lock, self._ready = Lock(), False
+
+    def ready(self, patience: float = 0.0) -> bool:
+        """Whether it can fork, at the latest after `patience` seconds. Before it can, or where it has ended, a kernel
+        is started."""
+        with self._lock:
+            if not self._ready and select.select([self._answers], [], [], patience)[0]:
+                self._ready = self._answers.readline() == _READY
+            return self._ready and self._process.poll() is None
 
     def fork(self, command: list[str], env: Mapping[str, str], cwd: str, words: str) -> int:
-        """Start a kernel as ``python -m …`` would, and say its process id; it leads a process group of its own."""
+        """Make a kernel as ``python -m …`` would, and say its process id; it leads a process group of its own."""
         order = {"module": command[2], "arguments": command[3:], "env": dict(env), "cwd": cwd, "words": words}
-        orders, answers = self._process.stdin, self._process.stdout
-        assert orders
-        assert answers
         with self._lock:
             try:
-                orders.write(json.dumps(order) + "\n")
-                orders.flush()
-                return int(answers.readline())
+                self._orders.write(json.dumps(order) + "\n")
+                self._orders.flush()
+                return int(self._answers.readline())
             except (OSError, ValueError):
-                self._process.kill()
-                said = self._process.communicate()[1].strip() or "killed, or out of memory"
-                raise RuntimeError(f"the process that notebooks are forked from has ended: {said}") from None
+                raise RuntimeError("the process that notebooks are forked from has ended: out of memory?") from None
 
     def stop(self) -> None:
         """End it; kernels that still run are for the caller to end."""
         self._process.kill()
         self._process.wait()
-        for pipe in filter(None, (self._process.stdin, self._process.stdout, self._process.stderr)):
+        for pipe in (self._orders, self._answers):
             with suppress(OSError):  # an order that it did not read
                 pipe.close()
 
@@ -117,6 +125,7 @@ def _serve() -> None:
     for name in _IMPORTED:
         importlib.import_module(name)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the kernels: they leave no zombies
+    print(_READY, end="", flush=True)
     for line in sys.stdin:
         if os.fork() == 0:
             _become(json.loads(line))
