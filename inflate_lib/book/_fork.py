@@ -1,6 +1,6 @@
 """A process that has imported what every notebook imports, and forks a kernel for each, which so starts at once.
 
-PyTorch, scikit-learn, Seaborn and the rest take some eight seconds to import, which is more than most chapters compute.
+PyTorch, scikit-learn, Seaborn and the rest take seconds to import, which is longer than most chapters compute.
 ``python -m inflate_lib.book._fork`` says that it is ready, reads orders from its standard input, a line of JSON each,
 and answers with the process id of a kernel that it has forked. It ends with that input, and with it end its kernels.
 """
@@ -43,8 +43,7 @@ class ForkServer:
         self._lock, self._ready = Lock(), False
 
     def ready(self, patience: float = 0.0) -> bool:
-        """Whether it can fork, at the latest after `patience` seconds. Before it can, or where it has ended, a kernel
-        is started."""
+        """Whether it can fork, after `patience` seconds at the latest; until then, and once it has ended, it cannot."""
         with self._lock:
             if not self._ready and select.select([self._answers], [], [], patience)[0]:
                 self._ready = self._answers.readline() == _READY
