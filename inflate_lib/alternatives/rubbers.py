@@ -20,7 +20,7 @@ from inflate_lib.descriptors.registry import JOINT
 from inflate_lib.diffusion import TrainedModel, generate
 from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.experiments.calibrate import questions
-from inflate_lib.experiments.run import as_experiment, is_whole
+from inflate_lib.experiments.run import as_experiment
 from inflate_lib.models import Model
 from inflate_lib.models.calibration import Calibration
 from inflate_lib.models.reach import load_reach

@@ -177,7 +177,8 @@ def generate(
         1 spaces the steps evenly; above it they crowd near the image, below it near the noise.
     steering : float
         Strength γ of the corrections of the model's ``judge``; 0 is without. Each estimate x̂₀ of the clean image
-        becomes x̂₀ + γ ᾱ · judge(x̂₀, y): little where it is still a blur, all where the noise is gone.
+        becomes x̂₀ + γ ᾱ · judge(x̂₀, y): little where it is still a blur, all where the noise is gone. What is drawn
+        in the end, the judge finishes.
     batch_size : int
         Structures denoised at a time.
     trajectory : list, optional
@@ -239,6 +240,8 @@ def generate(
                 if trajectory is None:
                     states[-1].clear()  # only the last state is wanted
                 states[-1].append(x.squeeze(1).cpu())
+            if steering:
+                states[-1][-1] = judge.finish(x.cpu().clamp(-1, 1), y.cpu()).squeeze(1)
     net.cpu()
     merged = [((torch.cat(batches) + 1) / 2).numpy() for batches in zip(*states, strict=True)]
     if trajectory is not None:

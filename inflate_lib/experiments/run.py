@@ -23,9 +23,8 @@ from inflate_lib.descriptors.registry import PARTS, added_version, columns
 from inflate_lib.diffusion import generate, storage
 from inflate_lib.diffusion.randomness import seed_for
 from inflate_lib.models import Model
-from inflate_lib.structures import labels
+from inflate_lib.structures.labels import is_whole
 
-_WHOLE = 0.9  # share of the bright pixels that one connected piece must hold for a drawing to be one structure
 PIECE = 128  # structures generated at a time, which is what a killed run can lose
 
 
@@ -253,15 +252,6 @@ def held_out_targets(
     matrix = descriptor_matrix(data, descriptor)
     rows = order if model is None else order[inside(model.trained, descriptor, matrix[order])]
     return matrix[rows[:n]], rows[:n]
-
-
-def is_whole(image):
-    """Whether one connected piece holds nearly all bright pixels of a generated image."""
-    bright = image > labels.THRESHOLD
-    try:
-        return bool(labels.main_component(image).sum() >= _WHOLE * bright.sum())
-    except ValueError:
-        return False
 
 
 def model_digest(model):
