@@ -29,7 +29,7 @@ from inflate_lib.models.remote import train_and_test
 from inflate_lib.models.train import training_set
 from inflate_lib.structures import sources
 from inflate_lib.structures.augmentation import apply_variants
-from inflate_lib.structures.labels import FRAME
+from inflate_lib.structures.labels import FRAME, is_whole
 
 FILE = "rubbers/joint.safetensors"  # in the folder of a profile's weights, the reach of two rubbers beside it
 

@@ -101,7 +101,7 @@ def train_surrogate(
 
 
 def _shown(values, told):
-    """How often each structure is shown, (n,): more often if it sags, so that its medial axis begins beside its foot."""
+    """How often each structure is shown, (n,): more often if it sags, and its medial axis begins beside the foot."""
     if "axis" not in told.parts:
         return np.ones(len(values), int)
     sideways = values[:, columns("axis", told.parts)[2]]  # of the second point; the first is the origin

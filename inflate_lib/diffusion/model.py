@@ -1,8 +1,8 @@
 """A trained denoiser with everything needed to use it, and the one file it is kept in."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from torch import Tensor
@@ -13,14 +13,23 @@ from inflate_lib.diffusion.schedule import Schedule, cosine_schedule
 from inflate_lib.diffusion.unet import UNet
 
 
+class Judge(Protocol):
+    """What steers a model while it draws, for scaled descriptors y (n, N); images are (n, 1, h, w) in [−1, 1]."""
+
+    def __call__(self, x0: Tensor, y: Tensor) -> Tensor:
+        """What to add to clean images."""
+
+    def finish(self, x: Tensor, y: Tensor) -> Tensor:
+        """Drawings that are done, corrected for the last time."""
+
+
 @dataclass
 class TrainedModel:
     """A network with everything needed to use it.
 
     ``condition_min`` and ``condition_max`` (N,) are the range of the training descriptors, in raw units; ``history``
     holds lists ``step``, ``loss``, ``simple``, ``vlb``; ``metadata`` is free for the caller (JSON).
-    ``judge(x0, y)``, which is not stored, tells what to add to clean images (n, 1, h, w) in [−1, 1] for the scaled
-    descriptors (n, N).
+    ``judge``, which is not stored, steers it.
     """
 
     net: UNet
@@ -30,7 +39,7 @@ class TrainedModel:
     image_size: tuple[int, int] = (28, 28)
     history: dict[str, list] = field(default_factory=dict)
     metadata: dict = field(default_factory=dict)
-    judge: Callable[[Tensor, Tensor], Tensor] | None = field(default=None, repr=False, compare=False)
+    judge: Judge | None = field(default=None, repr=False, compare=False)
 
     @property
     def schedule(self) -> Schedule:

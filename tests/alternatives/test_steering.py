@@ -7,14 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+import torch.nn.functional as F
 from torch import nn
 
 from inflate_lib import paths
 from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
-from inflate_lib.models.surrogate import Judge, Network, Surrogate, centred, soft_label
+from inflate_lib.models.surrogate import Judge, Network, Surrogate, centred, feet, soft_label
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.evaluation import plot_controls
-from inflate_lib.structures.labels import FRAME, label_image
+from inflate_lib.structures.labels import FRAME, is_whole, joined, label_image
 from inflate_lib.structures.sources import load_sevens
 
 DIGITS = load_sevens("digits").images
@@ -71,6 +72,49 @@ def test_a_correction_removes_most_of_a_small_error(trained, model):
         after = (x0 + judge(x0, torch.from_numpy(model.trained.scaled(wanted.numpy())).float())).clamp(-1, 1)
         missed = (trained.net(soft_label((after[:, 0] + 1) / 2))[:, HEIGHT] - wanted).abs()
         assert missed.median() < 0.002 and missed.max() <= 0.02
+
+
+def test_what_is_finished_comes_nearer_behind_the_threshold(trained, model):
+    """Grey pixels count as the label image counts them; no drawing gets worse, none falls apart."""
+    blurred = torch.from_numpy(DIGITS[:12] / 255).float()
+    x = 2 * F.avg_pool2d(F.pad(blurred, [1] * 4), 3, 1)[:, None] - 1
+    labels = np.array([label_image(image) for image in ((x[:, 0] + 1) / 2).numpy()])
+    now = 10 * labels.mean(axis=(1, 2))
+    for sign in (-1, 1):
+        wanted = now + sign * 0.05
+        done = Judge(trained, model.trained, "height").finish(
+            x, torch.from_numpy(model.trained.scaled(wanted[:, None])).float()
+        )
+        images = ((done[:, 0] + 1) / 2).numpy()
+        after = 10 * np.array([label_image(image) for image in images]).mean(axis=(1, 2))
+        assert (np.abs(after - wanted) <= 0.05 + 1e-6).all() and np.median(np.abs(after - wanted)) < 0.02
+        assert all(is_whole(image) for image in images) and 0 <= images.min() <= images.max() <= 1
+
+
+def test_nothing_is_finished_that_nobody_asked_for(trained, model):
+    x = 2 * torch.from_numpy(DIGITS[:3] / 255).float()[:, None] - 1
+    judge = Judge(trained, model.trained, "height")
+    assert torch.equal(judge.finish(x, torch.full((3, 1), torch.nan)), x)
+
+
+def test_pieces_a_pixel_or_two_apart_are_joined():
+    image = np.zeros((FRAME, FRAME), np.float32)
+    image[4:12, 10:14] = image[14:24, 10:14] = 0.9
+    assert not is_whole(image) and is_whole(joined(image))
+    assert (joined(image)[image > 0] == image[image > 0]).all()
+    apart = image.copy()
+    apart[14:16] = 0  # four dark rows: too far
+    assert joined(apart) is apart and joined(joined(image)).sum() == joined(image).sum()
+    both = joined(np.array([image, image[:, ::-1]])[0][:, ::-1])
+    assert np.array_equal(both[:, ::-1], joined(image))
+
+
+def test_feet_are_seen_wherever_they_stand():
+    label = np.zeros((1, FRAME, FRAME), np.float32)
+    label[0, 14:, 5:12] = 0.5
+    moved = np.concatenate([np.roll(label, shift, axis=2) for shift in range(-5, 17)])
+    seen = feet(torch.from_numpy(moved))
+    assert seen.shape[1:] == (10, 20) and (seen == seen[0]).all() and seen[0].sum() == label[0, -10:].sum()
 
 
 def drawn(model, told, seed, start=0):
