@@ -74,7 +74,8 @@ FOR_STUDENTS |= {
     "second order, w = 8, 12 steps": SECOND | {"steps": 12, "guidance": 8.0},
     "second order, w = 8, 5 steps": SECOND | {"steps": 5, "guidance": 8.0},
 }
-STEERED = {name: way for name, way in FOR_STUDENTS.items() if "w = 5" in name}
+FOR_STUDENTS["second order, w = 2.5, 12 steps"] = SECOND | {"steps": 12, "guidance": 2.5}
+STEERED = {name: FOR_STUDENTS[name] for name in ("second order, w = 5", "second order, w = 2.5, 12 steps")}
 ALIKE = 100  # drawings for one target
 TIMED = 32  # structures drawn to time a way
 

@@ -240,7 +240,7 @@ def generate(
                 if trajectory is None:
                     states[-1].clear()  # only the last state is wanted
                 states[-1].append(x.squeeze(1).cpu())
-            if steering:
+            if steering and judge:
                 states[-1][-1] = judge.finish(x.cpu().clamp(-1, 1), y.cpu()).squeeze(1)
     net.cpu()
     merged = [((torch.cat(batches) + 1) / 2).numpy() for batches in zip(*states, strict=True)]

@@ -205,7 +205,7 @@ class Judge:
         for _ in range(_FINISHING):
             now, wanted = done[rows], y[rows]
             least = self._scale.error(now, wanted, sharp=True)
-            step, better = self._step(now, wanted, sharp=True), torch.zeros(len(rows), dtype=bool)
+            step, better = self._step(now, wanted, sharp=True), torch.zeros(len(rows), dtype=torch.bool)
             for length in _LENGTHS:
                 tried = (now + length * step).clamp(-1, 1)
                 error = self._scale.error(tried, wanted, sharp=True)
