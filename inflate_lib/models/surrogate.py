@@ -28,6 +28,7 @@ _KIND = "surrogate"
 _SHARPNESS = 12.0  # of the border between dark and bright; at ∞ it is the threshold of the label image
 _LARGEST = 0.5  # change of a pixel in one step, of the range from −1 to 1
 _FINISHING, _LENGTHS = 40, (2.0, 1.0, 0.5, 0.25)  # steps that finish a drawing, at most, and their lengths
+_LEAST_GAIN = 1e-3  # of the error, by such a step: rounding, which depends on the batch, decides nothing
 _REPEATS = 2  # steps of each correction: the first leaves what is not linear, and, of several parts, some of each
 
 
@@ -197,7 +198,7 @@ class Judge:
         Pieces that nearly touch are joined (:func:`.structures.labels.joined`). Then the same steps are made, but ŷ is
         that of the label image behind its threshold; only the gradient is that of the smooth one, as in the
         straight-through estimator (Bengio et al. 2013). Of steps of several lengths each drawing takes the one after
-        which E is smallest, until none makes it smaller; one that would fall into pieces stays as it was.
+        which E is smallest, until none makes it smaller; what would fall into pieces stays as it was.
         """
         start = torch.stack([torch.from_numpy(joined(image)) for image in _bright(x)])
         start = 2 * start[:, None].to(x.dtype) - 1
@@ -209,7 +210,7 @@ class Judge:
             for length in _LENGTHS:
                 tried = (now + length * step).clamp(-1, 1)
                 error = self._scale.error(tried, wanted, sharp=True)
-                found = error < least
+                found = error < (1 - _LEAST_GAIN) * least
                 done[rows[found]], least, better = tried[found], torch.minimum(error, least), better | found
             rows = rows[better]
             if not len(rows):

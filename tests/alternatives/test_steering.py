@@ -15,7 +15,7 @@ from inflate_lib.diffusion import TrainedModel, TrainingConfig, generate
 from inflate_lib.models.surrogate import Judge, Network, Surrogate, centred, feet, soft_label
 from inflate_lib.models.weights import Model
 from inflate_lib.plotting.evaluation import plot_controls
-from inflate_lib.structures.labels import FRAME, is_whole, joined, label_image
+from inflate_lib.structures.labels import FRAME, THRESHOLD, is_whole, joined, label_image
 from inflate_lib.structures.sources import load_sevens
 
 DIGITS = load_sevens("digits").images
@@ -138,7 +138,8 @@ def test_a_steered_drawing_comes_nearer(model, trained, sampler):
     images, again = drawn(steered, wanted, 1), drawn(steered, wanted[2:4], 1, start=2)
     assert images.shape == (6, FRAME, FRAME) and 0 <= images.min() <= images.max() <= 1
     assert np.median(np.abs(brightness(images) - wanted[:, 0])) < 0.5 * 0.05
-    assert np.allclose(again, images[2:4], atol=1e-5)
+    assert np.array_equal(again > THRESHOLD, images[2:4] > THRESHOLD)  # the same structures; many steep steps
+    assert np.abs(again - images[2:4]).max() < 1e-3  # magnify the rounding, which depends on the batch
     assert np.array_equal(drawn(plain.steered(trained, 0), told, 1), drawn(plain, told, 1))
 
 
