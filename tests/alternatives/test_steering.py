@@ -131,7 +131,7 @@ def test_a_steered_drawing_comes_nearer(model, trained, sampler):
 
     def brightness(images):
         with torch.no_grad():
-            return trained.net(soft_label(torch.from_numpy(images)))[:, 0].numpy()
+            return trained.net(soft_label(torch.from_numpy(images), sharp=True))[:, 0].numpy()
 
     before = brightness(drawn(plain, told, 1))
     wanted = (before + 0.05)[:, None]
@@ -139,7 +139,7 @@ def test_a_steered_drawing_comes_nearer(model, trained, sampler):
     assert images.shape == (6, FRAME, FRAME) and 0 <= images.min() <= images.max() <= 1
     assert np.median(np.abs(brightness(images) - wanted[:, 0])) < 0.5 * 0.05
     assert np.array_equal(again > THRESHOLD, images[2:4] > THRESHOLD)  # the same structures; many steep steps
-    assert np.abs(again - images[2:4]).max() < 1e-3  # magnify the rounding, which depends on the batch
+    assert np.abs(again - images[2:4]).max() < 0.01  # magnify the rounding, which depends on the batch
     assert np.array_equal(drawn(plain.steered(trained, 0), told, 1), drawn(plain, told, 1))
 
 
