@@ -2,7 +2,7 @@
 
 It learns from the structures that the diffusion models are trained on, and their mirror images, and is tested on those
 that are held out; one that models learn from or are steered by sees blends of these structures as well. Structures that
-sag beside their foot are rare, but a fifth of what it is shown: their medial axes begin elsewhere, which it would
+sag beside their foot are rare, but a sixth of what it is shown: their medial axes begin elsewhere, which it would
 otherwise never answer.
 """
 

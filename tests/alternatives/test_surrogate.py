@@ -58,6 +58,19 @@ def test_the_surrogate_learns_what_can_be_seen_in_the_label(data, tmp_path, monk
     assert np.isnan(answers[2]).all() and np.isfinite(answers[:2]).all()
 
 
+def test_structures_that_sag_beside_their_foot_are_shown_eight_times(data, monkeypatch):
+    """As are their mirror images; unless no axis is asked for."""
+    shown = []
+    monkeypatch.setattr(surrogate, "train_once", lambda kind, net, loss, pairs, *rest: shown.append(pairs) or 0.0)
+    axes = data["medial_axis"].values.copy()
+    axes[:, 1:, 0] = RNG.uniform(-0.01, 0.01, axes[:, 1:, 0].shape)
+    axes[[2, 5], 1:, 0] += np.array([0.1, -0.1])[:, None]
+    seen = data.assign(medial_axis=(data["medial_axis"].dims, axes))
+    for answers in ("height+axis", "height"):
+        surrogate.train_surrogate(seen, answers=answers, rows=np.arange(10))
+    assert shown == [2 * (8 + 2 * 8), 2 * 10]
+
+
 def untrained(told):
     """A model of a descriptor, and a surrogate that answers with the same, whose scales differ."""
     one = get_descriptor(told)
