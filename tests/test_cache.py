@@ -268,7 +268,7 @@ def versions(folder):
         ("datasets/pairs.py", "% 10 == 9\n", "% 10 == 8\n", "dataset"),
         ("diffusion/schedule.py", "0.008", "0.009", "model"),
         ("models/train.py", "steps // 10", "steps // 20", "model"),
-        ("experiments/run.py", "WHOLE = 0.9", "WHOLE = 0.8", "experiment"),
+        ("experiments/run.py", "1e-9 * np.maximum", "1e-8 * np.maximum", "experiment"),
         ("alternatives/autoencoder.py", "LATENT = 4", "LATENT = 5", "alternative"),
         ("plotting/style.py", "17.0", "18.0", "notebook"),
         ("book/page.py", "dpi: int = 200", "dpi: int = 100", "notebook"),
