@@ -31,7 +31,7 @@ from inflate_lib.structures.labels import FRAME
 
 BATCH = 64
 _RATE = 2e-3  # the largest learning rate
-_SHIFTED = 2 / FRAME  # sideways step of a medial axis after its first point, in sides: more than any that does not sag
+_SHIFTED = 2 / FRAME  # sideways step of a medial axis after its first point, in sides; without sagging it is rare
 _REPEATED = 8  # times that a structure with such an axis is shown for once that another is
 
 
